@@ -1,0 +1,40 @@
+"""What a SpotLight graph and backbone are, as data: contracts, constants, manifests."""
+
+from spotlight_spec.backbone import BackboneSpec, LatentSpec, MapSpec, ScheduleSpec, ShadingSpec
+from spotlight_spec.catalogue import BACKBONES
+from spotlight_spec.graph import GraphContract, GraphLayout, TensorSpec, graph_contracts
+from spotlight_spec.manifest import (
+    MANIFEST_NAME,
+    FileEntry,
+    Manifest,
+    ParityRow,
+    Precision,
+    Source,
+    sha256_of,
+)
+from spotlight_spec.records import RecordError, decode, encode, read_json, write_json
+
+__all__ = [
+    "BACKBONES",
+    "MANIFEST_NAME",
+    "BackboneSpec",
+    "FileEntry",
+    "GraphContract",
+    "GraphLayout",
+    "LatentSpec",
+    "Manifest",
+    "MapSpec",
+    "ParityRow",
+    "Precision",
+    "RecordError",
+    "ScheduleSpec",
+    "ShadingSpec",
+    "Source",
+    "TensorSpec",
+    "decode",
+    "encode",
+    "graph_contracts",
+    "read_json",
+    "sha256_of",
+    "write_json",
+]

@@ -1,0 +1,1 @@
+"""SpotLight at run time."""

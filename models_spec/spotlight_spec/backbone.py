@@ -74,8 +74,8 @@ class ScheduleSpec:
         ``scaled_linear`` is linear in √β (latent diffusion).
     prediction_type : {"v_prediction", "epsilon", "sample"}
         What the network's output means; ``epsilon`` is undefined where ᾱ = 0.
-    timestep_spacing : {"trailing", "leading"}
-        ``trailing`` starts at the last train step, as zero terminal SNR requires.
+    timestep_spacing : {"trailing"}
+        Starts at the last train step, as zero terminal SNR requires.
     rescale_betas_zero_snr : bool
         Shift and scale √ᾱ so that ᾱ at the last train step is exactly 0 (Lin et al. 2023).
     set_alpha_to_one : bool
@@ -91,7 +91,7 @@ class ScheduleSpec:
     beta_end: float = 0.012
     beta_schedule: Literal["scaled_linear", "linear"] = "scaled_linear"
     prediction_type: Literal["v_prediction", "epsilon", "sample"] = "v_prediction"
-    timestep_spacing: Literal["trailing", "leading"] = "trailing"
+    timestep_spacing: Literal["trailing"] = "trailing"
     rescale_betas_zero_snr: bool = True
     set_alpha_to_one: bool = False
     clip_sample: bool = False

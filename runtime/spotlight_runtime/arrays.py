@@ -1,0 +1,57 @@
+"""Array types, and the one check every array from outside passes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spotlight_runtime.errors import DtypeError, InvalidInputError, NonFiniteError, ShapeError
+
+__all__ = ["BoolArray", "FloatArray", "check_array", "pad_edge"]
+
+FloatArray = npt.NDArray[np.floating[Any]]
+"""Float32 wherever pixels and latents flow; the same functions accept float64."""
+BoolArray = npt.NDArray[np.bool_]
+
+SLACK = 1e-3
+"""8-bit normals and half floats leave their range by less than this."""
+
+
+def check_array(
+    value: FloatArray,
+    name: str,
+    size: tuple[int, int],
+    channels: int | None,
+    limits: tuple[float, float],
+) -> None:
+    """Raise unless ``value`` is a finite float32 array of that size, channels and range.
+
+    Raises
+    ------
+    DtypeError, ShapeError, NonFiniteError, InvalidInputError
+        Naming the array, what was expected and what came.
+    """
+    if not isinstance(value, np.ndarray) or value.dtype != np.float32:
+        got = getattr(value, "dtype", type(value).__name__)
+        raise DtypeError(f"{name}: expected a float32 array, got {got}; convert it first")
+    shape = size if channels is None else (*size, channels)
+    if value.shape != shape:
+        raise ShapeError(f"{name}: expected shape {shape}, got {value.shape}")
+    if value.size == 0:
+        raise ShapeError(f"{name}: the array is empty, shape {value.shape}")
+    low, high = float(value.min()), float(value.max())
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = int(value.size - np.isfinite(value).sum())
+        raise NonFiniteError(f"{name}: {bad} of {value.size} values are NaN or infinite")
+    if low < limits[0] - SLACK or high > limits[1] + SLACK:
+        raise InvalidInputError(
+            f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got [{low:g}, {high:g}]"
+        )
+
+
+def pad_edge(array: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Grow an image (H, W) or (H, W, C) to the right and below by repeating its border."""
+    grow = [(0, size[0] - array.shape[0]), (0, size[1] - array.shape[1])]
+    return np.pad(array, grow + [(0, 0)] * (array.ndim - 2), mode="edge")

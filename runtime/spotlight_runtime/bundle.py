@@ -1,0 +1,202 @@
+"""SpotLight's own scene bundle: a folder (or zip of one) with ``scene.json`` and its images."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.colour import decode_to_linear
+from spotlight_runtime.errors import SceneError, ShapeError, UnsafePathError
+from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.scene import MAP_NAMES, Intrinsics, Scene
+from spotlight_spec import RecordError, decode, encode, read_json, write_json
+
+__all__ = ["SCENE_FILE", "MapFile", "SceneFile", "load_bundle", "save_bundle", "unpack"]
+
+
+SCENE_FILE: Final = "scene.json"
+MAX_ZIP_BYTES: Final = 1 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class MapFile:
+    """One image file of a bundle.
+
+    Attributes
+    ----------
+    file : str
+        Path relative to the bundle, inside it.
+    encoding : {"linear", "srgb", "gamma22", "normal"}
+        Transfer curve of the pixels; ``normal`` is 0.5 + 0.5·n.
+    scale : float
+        Multiplies the decoded values (for depth in a 16-bit PNG: units per full scale).
+    """
+
+    file: str
+    encoding: Literal["linear", "srgb", "gamma22", "normal"] = "linear"
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFile:
+    """``scene.json``.
+
+    ``background`` has ``image`` and maps, ``object`` has ``mask`` and maps premultiplied by it;
+    maps are albedo, normal, depth, roughness and metallic, of which only albedo is required.
+    """
+
+    version: Literal[1]
+    width: int
+    height: int
+    background: dict[str, MapFile]
+    object: dict[str, MapFile]
+    name: str = "scene"
+    field_of_view: float | None = None
+    footprint_depth: MapFile | None = None
+    truth: MapFile | None = None
+
+    def __post_init__(self) -> None:
+        for owner, maps, image in (
+            ("background", self.background, "image"),
+            ("object", self.object, "mask"),
+        ):
+            unknown = set(maps) - {image, *MAP_NAMES}
+            missing = {image, "albedo"} - set(maps)
+            if unknown or missing:
+                raise ValueError(
+                    f"{owner}: expected {image} and albedo, and optionally "
+                    f"{', '.join(MAP_NAMES[1:])}; missing {sorted(missing)}, "
+                    f"unknown {sorted(unknown)}"
+                )
+
+
+def load_bundle(folder: Path) -> Scene:
+    """Read a bundle folder; see `Scene.load` for what can be wrong with it."""
+    path = folder / SCENE_FILE
+    try:
+        record = decode(SceneFile, read_json(path), where=str(path))
+    except RecordError as error:
+        raise SceneError(str(error)) from error
+
+    def read(entry: MapFile, channels: int) -> FloatArray:
+        return _read_map(folder, entry, channels, (record.height, record.width))
+
+    def maps(entries: dict[str, MapFile]) -> Intrinsics:
+        found = {
+            name: read(entries[name], 3 if name in ("albedo", "normal") else 1)
+            for name in MAP_NAMES
+            if name in entries
+        }
+        return Intrinsics(**found)
+
+    return Scene(
+        background=read(record.background["image"], 3),
+        background_maps=maps(record.background),
+        object_maps=maps(record.object),
+        object_mask=read(record.object["mask"], 1),
+        footprint_depth=read(record.footprint_depth, 1) if record.footprint_depth else None,
+        truth=read(record.truth, 3) if record.truth else None,
+        field_of_view=record.field_of_view,
+        name=record.name,
+    )
+
+
+def save_bundle(scene: Scene, folder: Path) -> None:
+    """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SCENE_FILE).unlink(missing_ok=True)
+    background = {"image": _write_map(folder, "background.exr", scene.background)}
+    background |= _write_maps(folder, "background", scene.background_maps)
+    inserted = {"mask": _write_map(folder, "object_mask.png", scene.object_mask)}
+    inserted |= _write_maps(folder, "object", scene.object_maps)
+    footprint = truth = None
+    if scene.footprint_depth is not None:
+        footprint = _write_map(folder, "footprint_depth.exr", scene.footprint_depth)
+    if scene.truth is not None:
+        truth = _write_map(folder, "truth.exr", scene.truth)
+    height, width = scene.size
+    record = SceneFile(
+        version=1,
+        name=scene.name,
+        width=width,
+        height=height,
+        background=background,
+        object=inserted,
+        field_of_view=scene.field_of_view,
+        footprint_depth=footprint,
+        truth=truth,
+    )
+    write_json(folder / SCENE_FILE, encode(record))
+
+
+def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]) -> FloatArray:
+    path = (folder / entry.file).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise UnsafePathError(
+            f"{folder / SCENE_FILE}: {entry.file!r} lies outside the bundle; "
+            "copy the file into the scene's folder and name it there"
+        )
+    pixels = read_image(path)
+    if pixels.shape[:2] != size:
+        raise ShapeError(
+            f"{path}: expected {size[1]}×{size[0]} pixels as {SCENE_FILE} says, "
+            f"got {pixels.shape[1]}×{pixels.shape[0]}"
+        )
+    if channels == 1:
+        pixels = pixels if pixels.ndim == 2 else pixels[..., 0]
+    elif pixels.ndim == 3 and pixels.shape[2] >= channels:
+        pixels = pixels[..., :channels]
+    else:
+        raise ShapeError(f"{path}: expected {channels} channels, got shape {pixels.shape}")
+    if entry.encoding == "normal":
+        return (np.float32(2.0) * pixels - np.float32(1.0)) * np.float32(entry.scale)
+    return decode_to_linear(pixels, entry.encoding) * np.float32(entry.scale)
+
+
+def _write_maps(folder: Path, owner: str, maps: Intrinsics) -> dict[str, MapFile]:
+    entries = {}
+    for name in MAP_NAMES:
+        value = getattr(maps, name)
+        if value is not None:
+            suffix = "exr" if name in ("depth", "normal") else "png"
+            entries[name] = _write_map(folder, f"{owner}_{name}.{suffix}", value)
+    return entries
+
+
+def _write_map(folder: Path, name: str, value: FloatArray) -> MapFile:
+    write_image(folder / name, value, bits=16)
+    return MapFile(name)
+
+
+def unpack(archive: Path, folder: Path) -> Path:
+    """Unpack a zipped scene into ``folder`` and return the folder that holds the scene.
+
+    Raises
+    ------
+    UnsafePathError
+        If an entry would be written outside ``folder``.
+    SceneError
+        If the archive is damaged or unpacks to more than the limit.
+    """
+    with zipfile.ZipFile(archive) as bundle:
+        total = 0
+        for entry in bundle.infolist():
+            total += entry.file_size
+            if not (folder / entry.filename).resolve().is_relative_to(folder.resolve()):
+                raise UnsafePathError(f"{archive}: {entry.filename!r} lies outside the bundle")
+        if total > MAX_ZIP_BYTES:
+            raise SceneError(
+                f"{archive}: unpacks to {total} bytes, more than the limit of {MAX_ZIP_BYTES}; "
+                "load the unpacked folder instead"
+            )
+        try:
+            bundle.extractall(folder)
+        except (zipfile.BadZipFile, OSError, RuntimeError) as error:
+            raise SceneError(f"{archive}: cannot be unpacked: {error}") from error
+    entries = list(folder.iterdir())
+    return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder

@@ -1,0 +1,177 @@
+"""The ``spotlight`` command."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.colour import luma
+from spotlight_runtime.errors import SpotLightError
+from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.models import find_models
+from spotlight_runtime.options import RelightOptions
+from spotlight_runtime.relighter import Relighter
+from spotlight_runtime.result import RelightResult
+from spotlight_runtime.scene import Scene
+from spotlight_spec import write_json
+
+__all__ = ["main"]
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Relight an object in a photograph by its shadow, on any CPU.",
+    epilog="Start with:  spotlight models,  then  spotlight relight --help",
+)
+
+
+@app.callback()
+def _about() -> None:
+    """Relight an object in a photograph by its shadow, on any CPU."""
+
+
+@app.command()
+def relight(
+    scene: Annotated[
+        Path, typer.Argument(help="Scene folder or zip: scene.json, or the published layout.")
+    ],
+    shadow: Annotated[
+        Path,
+        typer.Option(help="Guiding shadow: grey image of the scene's size, white is shadow."),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Picture to write.")],
+    negative: Annotated[
+        str, typer.Option(help="Shadow of the opposite light (an image), or none.")
+    ] = "none",
+    model: Annotated[str, typer.Option(help="Model name or folder: `spotlight models`.")] = "mini",
+    report: Annotated[
+        Path | None, typer.Option(help="Write options, timings and peak memory here as JSON.")
+    ] = None,
+    gamma: Annotated[float, typer.Option(help="How strongly the shadow steers the shading.")] = 3.0,
+    beta: Annotated[float, typer.Option(help="How strongly the shadow enters the picture.")] = 0.05,
+    seed: Annotated[int, typer.Option(help="Same seed, same picture.")] = 469,
+    steps: Annotated[
+        int | None, typer.Option(help="Denoising steps.", show_default="the backbone's")
+    ] = None,
+    solver: Annotated[Literal["ddim", "dpmpp_2m", "unipc"], typer.Option()] = "ddim",
+    fidelity: Annotated[
+        Literal["paper", "release"],
+        typer.Option(help="Follow the paper, or the public release to the letter."),
+    ] = "paper",
+    denoise: Annotated[
+        bool | None,
+        typer.Option("--denoise/--no-denoise", show_default="where the backbone needs it"),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Threads.", show_default="all this process may use")
+    ] = None,
+    low_memory: Annotated[
+        bool, typer.Option("--low-memory", help="Hold one network at a time; slower to repeat.")
+    ] = False,
+) -> None:
+    """Relight a scene's object by a guiding shadow.
+
+    Example: spotlight relight chair/ --shadow left.png --negative right.png -o out.png
+    """
+    options = RelightOptions(
+        gamma=gamma,
+        beta=beta,
+        seed=seed,
+        steps=steps,
+        solver=solver,
+        fidelity=fidelity,
+        denoise=denoise,
+        batch_branches=not low_memory,
+    )
+    loaded = Scene.load(scene)
+    positive = _read_shadow(shadow)
+    opposite = None if negative == "none" else _read_shadow(Path(negative))
+    relighter = Relighter.load(model, threads=threads, low_memory=low_memory)
+    result = _run_with_progress(relighter, loaded, positive, opposite, options)
+    write_image(output, result.image)
+    facts = {"scene": loaded.name, "output": str(output), **result.report()}
+    if report is not None:
+        write_json(report, facts)
+    total = sum(result.timings.values())
+    Console(stderr=True).print(f"{output}: {result.evaluations} evaluations, {total:.1f} s")
+
+
+@app.command()
+def models(
+    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+) -> None:
+    """List the models found here: precision, size, provenance."""
+    found = [model.summary() for model in find_models()]
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    table = Table("name", "backbone", "precision", "MB", "worst error", "made from")
+    for model in found:
+        error = model["worst_parity"]
+        table.add_row(
+            model["name"],
+            model["backbone"],
+            model["precision"],
+            f"{model['bytes'] / 1e6:.0f}",
+            "not verified" if error is None else f"{error:.1e}",
+            model["source"],
+        )
+    Console().print(table)
+    if not found:
+        Console(stderr=True).print(
+            "No model here. Export one with `spotlight-export`, put its folder under models/, or "
+            "name the parent folder in SPOTLIGHT_MODELS."
+        )
+
+
+def main() -> None:
+    """Entry point: errors of the package are one line on stderr and exit code 1."""
+    try:
+        app()
+    except SpotLightError as error:
+        print(f"spotlight: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _run_with_progress(
+    relighter: Relighter,
+    scene: Scene,
+    shadow: FloatArray,
+    negative: FloatArray | None,
+    options: RelightOptions,
+) -> RelightResult:
+    bar = Progress(
+        TextColumn("{task.description:>10}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    tasks = {}
+    run = relighter.run(scene, shadow, negative, options)
+    with bar:
+        while True:
+            try:
+                progress = next(run)
+            except StopIteration as stop:
+                result: RelightResult = stop.value
+                return result
+            if progress.stage not in tasks:
+                tasks[progress.stage] = bar.add_task(progress.stage, total=progress.steps)
+            bar.update(tasks[progress.stage], completed=progress.step.index + 1)
+
+
+def _read_shadow(path: Path) -> FloatArray:
+    pixels = read_image(path)
+    grey = pixels if pixels.ndim == 2 else luma(pixels[..., :3])
+    return np.clip(grey, 0.0, 1.0)

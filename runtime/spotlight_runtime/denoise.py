@@ -1,0 +1,73 @@
+"""Open Image Denoise, for backbones trained on noisy renders. Needs the extra ``denoise``."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["denoise", "denoiser_available"]
+
+
+def denoiser_available() -> bool:
+    """Whether the optional denoiser is installed."""
+    return importlib.util.find_spec("pyoidn") is not None
+
+
+def denoise(
+    linear: FloatArray, albedo: FloatArray | None = None, normal: FloatArray | None = None
+) -> FloatArray:
+    """Denoise a low-dynamic-range image at high quality, guided by clean albedo and normals.
+
+    Parameters
+    ----------
+    linear : ndarray of float32, shape (H, W, 3)
+        Linear light in [0, 1].
+    albedo : ndarray of float32, shape (H, W, 3), optional
+        In [0, 1].
+    normal : ndarray of float32, shape (H, W, 3), optional
+        In [−1, 1]; the denoiser takes normals only together with albedo.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+
+    Raises
+    ------
+    MissingExtraError
+        If Open Image Denoise is not installed.
+    """
+    if not denoiser_available():
+        raise MissingExtraError(
+            "denoising needs Open Image Denoise: pip install 'spotlight-relight[denoise]', "
+            "or relight without it (denoise=False, --no-denoise)"
+        )
+    with _without_torch():
+        import pyoidn
+    auxiliaries = {} if albedo is None else {"albedo": np.ascontiguousarray(albedo)}
+    if albedo is not None and normal is not None:
+        auxiliaries["normal"] = np.ascontiguousarray(normal)
+    clean: Any = pyoidn.denoise(np.ascontiguousarray(linear), quality="high", **auxiliaries)
+    return np.clip(np.asarray(clean, dtype=np.float32), 0.0, 1.0)
+
+
+@contextmanager
+def _without_torch() -> Iterator[None]:
+    """Keep the binding from importing torch where it happens to be installed: it takes a second."""
+    if "torch" in sys.modules:
+        yield
+        return
+    sys.modules["torch"] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules["torch"]

@@ -1,0 +1,238 @@
+"""Image files in and out: PNG 8/16 bit, JPEG, WebP, Radiance HDR and layered OpenEXR.
+
+Reading returns float32 with channels as R, G, B(, A) and integer formats scaled to [0, 1]; transfer
+curves are left as stored (see `spotlight_runtime.colour`). Writing is write-then-rename, so a
+reader never meets half an image. A truncated or foreign file is an `ImageFileError`, never a
+partly grey picture.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import OpenEXR
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.errors import ImageFileError, InvalidInputError
+
+__all__ = ["encode_png", "read_exr_layers", "read_image", "write_exr_layers", "write_image"]
+
+
+_JPEG: Final = {".jpg", ".jpeg"}
+_EIGHT_BIT: Final = {*_JPEG, ".webp"}
+_READABLE: Final = {".png", ".hdr", ".exr", *_EIGHT_BIT}
+_CHANNEL_ORDER: Final = {name: i for i, name in enumerate("RGBXYZVA")}
+
+
+def read_image(path: Path) -> FloatArray:
+    """Read an image file.
+
+    Parameters
+    ----------
+    path : Path
+        ``.png``, ``.jpg``/``.jpeg`` (EXIF orientation applied), ``.webp``, ``.hdr`` or ``.exr``
+        (the layer without a name, or the only one).
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W) or (H, W, C) with C in {2, 3, 4}
+        Integer formats in [0, 1]; floating-point formats as stored. Values are as encoded.
+
+    Raises
+    ------
+    ImageFileError
+        If the file is missing, truncated, or no image of these formats.
+    """
+    if path.suffix.lower() not in _READABLE:
+        raise ImageFileError(
+            f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {path.suffix!r}"
+        )
+    if path.suffix.lower() == ".exr":
+        layers = read_exr_layers(path)
+        if "" not in layers and len(layers) != 1:
+            raise ImageFileError(
+                f"{path}: expected one unnamed layer, got layers {', '.join(layers)}; "
+                "split the file or name its layers as a published scene bundle"
+            )
+        return layers.get("", next(iter(layers.values())))
+    return _decode(_read_bytes(path), path)
+
+
+def read_exr_layers(path: Path) -> dict[str, FloatArray]:
+    """Read every layer of an OpenEXR file.
+
+    Returns
+    -------
+    dict of ndarray of float32, shape (H, W) or (H, W, C)
+        By layer name (``albedo`` of ``albedo.R``; "" for bare channels), channels in the order
+        R G B X Y Z V A.
+
+    Raises
+    ------
+    ImageFileError
+        If the file is missing, truncated or not OpenEXR.
+    """
+    if not path.is_file():
+        raise ImageFileError(f"{path}: no such file")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ImageFileError(f"{path}: expected a whole OpenEXR file, got {error}") from error
+    grouped: dict[str, list[tuple[str, Any]]] = {}
+    for name, pixels in channels.items():
+        layer, _, channel = name.rpartition(".")
+        grouped.setdefault(layer, []).append((channel, pixels))
+    return {layer: _stack(members, path, layer) for layer, members in grouped.items()}
+
+
+def write_image(path: Path, image: FloatArray, *, bits: int = 8, quality: int = 95) -> None:
+    """Write an image file; values are stored as they are encoded.
+
+    Parameters
+    ----------
+    path : Path
+        ``.png``, ``.jpg``/``.jpeg``, ``.webp`` (values clipped to [0, 1]), ``.hdr`` or ``.exr``.
+    image : ndarray of float32, shape (H, W) or (H, W, 3) or (H, W, 4)
+    bits : {8, 16}
+        Depth of a PNG.
+    quality : int
+        JPEG and WebP quality, 1 to 100.
+
+    Raises
+    ------
+    InvalidInputError
+        If the format cannot hold the image.
+    ImageFileError
+        If the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _READABLE:
+        raise InvalidInputError(
+            f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {suffix!r}"
+        )
+    if suffix == ".exr":
+        write_exr_layers(path, {"": image})
+        return
+    if suffix == ".hdr":
+        data = _encode(".hdr", _swap_red_blue(image), [], path)
+    elif suffix == ".png":
+        data = encode_png(image, bits=bits)
+    else:
+        key = cv2.IMWRITE_JPEG_QUALITY if suffix in _JPEG else cv2.IMWRITE_WEBP_QUALITY
+        data = _encode(suffix, _swap_red_blue(_quantise(image, 8)), [int(key), quality], path)
+    _write_atomically(path, data)
+
+
+def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:
+    """PNG bytes of an image with values in [0, 1] (clipped)."""
+    return _encode(".png", _swap_red_blue(_quantise(image, bits)), [], Path("image.png"))
+
+
+def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[Any]]]) -> None:
+    """Write arrays of shape (H, W) or (H, W, 1..4) as layers of one OpenEXR file, losslessly.
+
+    float16 arrays are stored as half, others as float32. One channel is named V.
+    """
+    channels = {}
+    for layer, image in layers.items():
+        pixels = image if image.dtype == np.float16 else image.astype(np.float32)
+        planes = pixels[..., None] if pixels.ndim == 2 else pixels
+        names = {1: "V", 2: "VA", 3: "RGB", 4: "RGBA"}[planes.shape[2]]
+        for i, name in enumerate(names):
+            key = f"{layer}.{name}" if layer else name
+            channels[key] = np.ascontiguousarray(planes[..., i])
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    partial = _partial(path)
+    try:
+        OpenEXR.File(header, channels).write(str(partial))
+        partial.replace(path)
+    except (RuntimeError, OSError) as error:
+        partial.unlink(missing_ok=True)
+        raise ImageFileError(f"{path}: cannot be written: {error}") from error
+
+
+def _decode(data: bytes, path: Path) -> FloatArray:
+    if not data:
+        raise ImageFileError(f"{path}: the file is empty; expected an image")
+    if path.suffix.lower() in _JPEG:
+        # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
+        if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+            raise ImageFileError(f"{path}: the JPEG is truncated (no end-of-image marker)")
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH  # these flags apply the EXIF orientation
+    else:
+        flags = cv2.IMREAD_UNCHANGED
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error as error:
+        raise ImageFileError(f"{path}: cannot be decoded: {error}") from error
+    if pixels is None:
+        raise ImageFileError(f"{path}: expected a whole image file, got {len(data)} other bytes")
+    image = _swap_red_blue(pixels)
+    if np.issubdtype(image.dtype, np.integer):
+        return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+    return image.astype(np.float32)
+
+
+def _encode(suffix: str, pixels: npt.NDArray[Any], options: list[int], path: Path) -> bytes:
+    done, buffer = cv2.imencode(suffix, pixels, options)
+    if not done:
+        raise InvalidInputError(f"{path}: {suffix} cannot hold an image of shape {pixels.shape}")
+    return bytes(buffer)
+
+
+def _quantise(image: FloatArray, bits: int) -> npt.NDArray[Any]:
+    top = 2**bits - 1
+    return np.round(np.clip(image, 0.0, 1.0) * top).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def _swap_red_blue(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """RGB(A) to BGR(A) and back; grey stays."""
+    if pixels.ndim == 2 or pixels.shape[2] < 3:
+        return pixels
+    order = [2, 1, 0, *range(3, pixels.shape[2])]
+    return np.ascontiguousarray(pixels[..., order])
+
+
+def _stack(members: list[tuple[str, Any]], path: Path, layer: str) -> FloatArray:
+    members.sort(key=lambda member: _CHANNEL_ORDER.get(member[0], len(_CHANNEL_ORDER)))
+    shapes = {pixels.shape for _, pixels in members}
+    if len(shapes) != 1:
+        raise ImageFileError(f"{path}: the channels of layer {layer!r} differ in size: {shapes}")
+    planes = [np.asarray(pixels, dtype=np.float32) for _, pixels in members]
+    return planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ImageFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _write_atomically(path: Path, data: bytes) -> None:
+    partial = _partial(path)
+    try:
+        partial.write_bytes(data)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ImageFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _partial(path: Path) -> Path:
+    """Return a name beside ``path`` that no other writer uses."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".partial")
+    except OSError as error:
+        raise ImageFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+    os.close(handle)
+    Path(name).chmod(0o644)
+    return Path(name)

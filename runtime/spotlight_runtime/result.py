@@ -1,0 +1,98 @@
+"""What a relight returns, and what it measured on the way."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.options import RelightOptions
+from spotlight_runtime.sampler import Step
+
+__all__ = ["PassName", "Progress", "RelightResult", "Stopwatch", "peak_memory_bytes"]
+
+PassName = Literal["relight", "no shadow"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """Where a relight is: the pass, its latest step (decode it for a preview), its steps in all."""
+
+    stage: PassName
+    step: Step
+    steps: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelightResult:
+    """A relit picture and how it came about.
+
+    Attributes
+    ----------
+    image : ndarray of float32, shape (H, W, 3)
+        The picture, sRGB-encoded, in [0, 1].
+    prediction, no_shadow : ndarray of float32, shape (H, W, 3)
+        The renderer's own pictures with and without the guiding shadow, before they are composed
+        with the background; sRGB-encoded, in [0, 1].
+    options : RelightOptions
+        As used, with nothing left to default.
+    evaluations : int
+        Denoiser evaluations, one a branch and step.
+    timings : dict of float
+        Seconds by stage.
+    denoised : str
+        ``on``, or why not.
+    model : dict
+        Facts about the model.
+    """
+
+    image: FloatArray
+    prediction: FloatArray
+    no_shadow: FloatArray
+    options: RelightOptions
+    evaluations: int
+    timings: dict[str, float]
+    denoised: str
+    model: dict[str, Any] = field(default_factory=dict)
+
+    def report(self) -> dict[str, Any]:
+        """Everything but the pixels, ready for JSON."""
+        return {
+            "model": self.model,
+            "size": {"width": self.image.shape[1], "height": self.image.shape[0]},
+            "options": asdict(self.options),
+            "evaluations": self.evaluations,
+            "denoised": self.denoised,
+            "seconds": {stage: round(seconds, 4) for stage, seconds in self.timings.items()},
+            "peak_memory_bytes": peak_memory_bytes(),
+        }
+
+
+class Stopwatch:
+    """Seconds by stage, summed where a stage is entered again."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Charge the time of the ``with`` block to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def peak_memory_bytes() -> int | None:
+    """Largest resident size of this process so far; None where the platform does not say."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

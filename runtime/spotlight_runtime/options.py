@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from spotlight_runtime.errors import InvalidInputError
@@ -83,6 +83,6 @@ class RelightOptions:
                 f"solver: expected one of {', '.join(SOLVERS)}, got {self.solver!r}"
             )
 
-    def resolved(self, spec: BackboneSpec) -> RelightOptions:
-        """The same options with the backbone's number of steps where none was given."""
-        return self if self.steps is not None else replace(self, steps=spec.schedule.steps)
+    def steps_for(self, spec: BackboneSpec) -> int:
+        """Number of denoising steps with this backbone."""
+        return spec.schedule.steps if self.steps is None else self.steps

@@ -79,7 +79,6 @@ def loop_inputs(
     shadows : tuple of ndarray of float32, shape (H, W)
         As `prepare` returns them, positive first.
     options : RelightOptions
-        Resolved: with a number of steps.
 
     Returns
     -------
@@ -89,7 +88,7 @@ def loop_inputs(
     shape = (latent.channels, *(side // latent.downscale for side in scene.size))
     release = options.fidelity == "release"
     noise = step_noise = gaussian(options.seed, "initial", (1, *shape))
-    blends = range((options.steps or spec.schedule.steps) - 1)
+    blends = range(options.steps_for(spec) - 1)
     if release and blends:
         fresh = [gaussian(options.seed, "step", shape, index) for index in blends]
         step_noise = np.stack(fresh)

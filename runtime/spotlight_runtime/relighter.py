@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -150,17 +151,20 @@ class Relighter:
 
         Close it to cancel between two steps.
         """
-        options = (options or RelightOptions()).resolved(self.spec)
+        options = options or RelightOptions()
         stopwatch = Stopwatch()
         with stopwatch.stage("prepare"):
             padded, shadows = prepare(self.spec, scene, shadow, negative)
         with stopwatch.stage("encode"):
             inputs = loop_inputs(self._networks, self.spec, padded, shadows, options)
             self._release("vae_encoder")
-        guided = self.trajectory(inputs, options)
-        latents = yield from _drain(guided, "relight", stopwatch, options)
-        plain = self._without_shadow(padded, inputs.initial_noise, options)
-        plain_latents = yield from _drain(plain, "no shadow", stopwatch, options)
+        steps = options.steps_for(self.spec)
+        with stopwatch.stage("condition"):
+            guided = self.trajectory(inputs, options)
+        latents = yield from _drain(guided, "relight", stopwatch, steps)
+        with stopwatch.stage("condition"):
+            plain = self._without_shadow(padded, inputs.initial_noise, options)
+        plain_latents = yield from _drain(plain, "no shadow", stopwatch, steps)
         self._release("condition_encoder", "denoiser", "controlnet", "unet")
 
         with stopwatch.stage("decode"):
@@ -179,8 +183,8 @@ class Relighter:
             image=image[crop],
             prediction=self._to_srgb(predicted)[crop],
             no_shadow=self._to_srgb(no_shadow)[crop],
-            options=options,
-            evaluations=len(self._schedule(options)) * (len(shadows) + 1),
+            options=replace(options, steps=steps),
+            evaluations=steps * (len(shadows) + 1),
             timings=stopwatch.seconds,
             denoised=denoising,
             model=self._model,
@@ -194,7 +198,7 @@ class Relighter:
         options: RelightOptions | None = None,
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
-        options = (options or RelightOptions()).resolved(self.spec)
+        options = options or RelightOptions()
         padded, shadows = prepare(self.spec, scene, shadow, negative)
         return loop_inputs(self._networks, self.spec, padded, shadows, options)
 
@@ -207,7 +211,7 @@ class Relighter:
         implementation's arrays this replays its trajectory. Of the options, gamma, beta, steps,
         solver, fidelity (noise level of the blend), guidance_rescale and batch_branches apply.
         """
-        options = (options or RelightOptions()).resolved(self.spec)
+        options = options or RelightOptions()
         predict = predictor(
             self._networks,
             encode_conditioning(self._networks, inputs.conditioning),
@@ -225,7 +229,7 @@ class Relighter:
         )
 
     def _schedule(self, options: RelightOptions) -> Schedule:
-        return Schedule.trailing(self.spec.schedule, options.steps or self.spec.schedule.steps)
+        return Schedule.trailing(self.spec.schedule, options.steps_for(self.spec))
 
     def _without_shadow(
         self, scene: Scene, noise: FloatArray, options: RelightOptions
@@ -281,13 +285,12 @@ class Relighter:
 
 
 def _drain(
-    steps: Iterator[Step], stage: PassName, stopwatch: Stopwatch, options: RelightOptions
+    trajectory: Iterator[Step], stage: PassName, stopwatch: Stopwatch, steps: int
 ) -> Generator[Progress, None, FloatArray]:
     """Yield progress of a pass and return its final latents; the caller's time is not counted."""
-    total = options.steps or 0
     while True:
         with stopwatch.stage(stage):
-            step = next(steps)
-        yield Progress(stage, step, total)
-        if step.index == total - 1:
+            step = next(trajectory)
+        yield Progress(stage, step, steps)
+        if step.index == steps - 1:
             return step.latents

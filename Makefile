@@ -1,0 +1,47 @@
+# Everything people type. `make test` is also what CI runs.
+VENV ?= .venv
+EDGE_VENV ?= .venv-edge
+BIN := $(VENV)/bin
+
+.PHONY: help setup test lint types unit edge test-full format clean
+
+help:           ## list the targets
+	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: $(VENV)/.installed ## virtual environment with everything the tests need
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	python3 -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise]'
+	touch $@
+
+test: lint types unit edge ## all that must pass before a change lands
+
+lint: setup     ## style and import boundaries
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+types: setup    ## static types, strict on specification and runtime
+	$(BIN)/mypy
+
+unit: setup     ## unit, property, export and parity tests, with coverage of the runtime
+	$(BIN)/pytest -m 'not full' --cov --cov-report=term
+
+edge:           ## build the wheel, install it without torch, run the runtime's tests on it
+	python3 -m venv --clear $(EDGE_VENV)
+	rm -rf dist
+	$(EDGE_VENV)/bin/pip wheel --quiet --no-deps --wheel-dir dist .
+	$(EDGE_VENV)/bin/pip install --quiet --constraint constraints.txt dist/*.whl hypothesis onnx pytest
+	$(EDGE_VENV)/bin/python -c "import importlib.util as u; assert u.find_spec('torch') is None"
+	$(EDGE_VENV)/bin/python -P -m pytest tests/spec tests/runtime
+
+test-full: setup ## full-size export, verification and relight: half an hour, 16 GB of memory
+	$(BIN)/pytest -m full -s
+
+format: setup   ## rewrite in the house style
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:          ## remove what the targets made
+	rm -rf $(VENV) $(EDGE_VENV) dist .pytest_cache .mypy_cache .ruff_cache .coverage

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 
@@ -20,6 +22,7 @@ __all__ = [
     "over",
     "partial_shading",
     "rough_composite",
+    "stack_maps",
 ]
 
 
@@ -179,11 +182,36 @@ def conditioning_array(spec: BackboneSpec, scene: Scene, guiding_shadow: FloatAr
     hidden = masked_region(guiding_shadow, scene.object_mask)
     if spec.shading.known == "inside":
         hidden = ~hidden
+    encoded = encode_linear(scene.background, spec.shading.background_encoding)
+    return stack_maps(spec, maps, encoded, scene.background_maps.albedo, hidden)
+
+
+def stack_maps(
+    spec: BackboneSpec,
+    maps: Mapping[str, FloatArray],
+    encoded: FloatArray,
+    albedo: FloatArray,
+    hidden: BoolArray,
+) -> FloatArray:
+    """Stack maps in the backbone's order and ranges, with shading hidden in a region.
+
+    Parameters
+    ----------
+    spec : BackboneSpec
+    maps : mapping of str to ndarray of float32, shape (H, W) or (H, W, 3)
+        Intrinsic maps by name; normals in [−1, 1].
+    encoded, albedo : ndarray of float32, shape (H, W, 3)
+        Image and albedo whose quotient is the shading.
+    hidden : ndarray of bool, shape (H, W)
+        Where the network is not told the shading.
+
+    Returns
+    -------
+    ndarray of float32, shape (K, H, W)
+    """
     planes = []
     for entry in spec.maps:
         if entry.name == "shading":
-            encoded = encode_linear(scene.background, spec.shading.background_encoding)
-            albedo = scene.background_maps.albedo
             plane = partial_shading(encoded, albedo, hidden, entry, spec.shading.epsilon)
         elif entry.name == "mask":
             plane = np.where(hidden, np.float32(_fill(entry)), np.float32(entry.maximum))

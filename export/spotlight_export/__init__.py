@@ -1,0 +1,1 @@
+"""Turn torch checkpoints into SpotLight model folders: trace, store, quantise, verify."""

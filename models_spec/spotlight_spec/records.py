@@ -153,7 +153,10 @@ def _decode_tuple(kind: Any, value: Any, where: str) -> Any:
 
 def _decode_scalar(kind: Any, value: Any, where: str) -> Any:
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-        number = float(value) if abs(value) <= 1.7e308 else math.inf
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number beyond the float range
+            number = math.inf
         if not math.isfinite(number):
             raise _mismatch(where, "a finite number", value)
         return number

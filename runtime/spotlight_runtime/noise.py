@@ -50,5 +50,6 @@ def gaussian(
         or not 0 <= seed <= MAX_SEED
     ):
         raise InvalidInputError(f"seed: expected a whole number from 0 to 2**63 - 1, got {seed!r}")
-    entropy = np.random.SeedSequence([int(seed), _STREAMS[stream], index])
+    # A spawn key, unlike a longer list of entropy, is kept apart from the words of a large seed.
+    entropy = np.random.SeedSequence(int(seed), spawn_key=(_STREAMS[stream], index))
     return np.random.default_rng(entropy).standard_normal(shape, dtype=np.float32)

@@ -6,8 +6,8 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from spec.record_strategies import FINITE, records
 
+from spec.record_strategies import FINITE, records
 from spotlight_spec import (
     BACKBONES,
     BackboneSpec,

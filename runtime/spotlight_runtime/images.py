@@ -20,7 +20,13 @@ import numpy.typing as npt
 import OpenEXR
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.errors import ImageFileError, InvalidInputError
+from spotlight_runtime.errors import (
+    DtypeError,
+    ImageFileError,
+    InvalidInputError,
+    NonFiniteError,
+    ShapeError,
+)
 
 __all__ = ["encode_png", "read_exr_layers", "read_image", "write_exr_layers", "write_image"]
 
@@ -28,15 +34,17 @@ __all__ = ["encode_png", "read_exr_layers", "read_image", "write_exr_layers", "w
 _JPEG: Final = {".jpg", ".jpeg"}
 _EIGHT_BIT: Final = {*_JPEG, ".webp"}
 _READABLE: Final = {".png", ".hdr", ".exr", *_EIGHT_BIT}
+_JPEG_SIGNATURE: Final = b"\xff\xd8\xff"
+_SIGNATURES: Final = (b"\x89PNG\r\n\x1a\n", _JPEG_SIGNATURE, b"RIFF", b"#?")
 _CHANNEL_ORDER: Final = {name: i for i, name in enumerate("RGBXYZVA")}
 
 
-def read_image(path: Path) -> FloatArray:
+def read_image(path: str | Path) -> FloatArray:
     """Read an image file.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         ``.png``, ``.jpg``/``.jpeg`` (EXIF orientation applied), ``.webp``, ``.hdr`` or ``.exr``
         (the layer without a name, or the only one).
 
@@ -50,6 +58,7 @@ def read_image(path: Path) -> FloatArray:
     ImageFileError
         If the file is missing, truncated, or no image of these formats.
     """
+    path = Path(path)
     if path.suffix.lower() not in _READABLE:
         raise ImageFileError(
             f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {path.suffix!r}"
@@ -79,7 +88,7 @@ def read_exr_layers(path: Path) -> dict[str, FloatArray]:
     ImageFileError
         If the file is missing, truncated or not OpenEXR.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, False for impossible names too
         raise ImageFileError(f"{path}: no such file")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -93,12 +102,12 @@ def read_exr_layers(path: Path) -> dict[str, FloatArray]:
     return {layer: _stack(members, path, layer) for layer, members in grouped.items()}
 
 
-def write_image(path: Path, image: FloatArray, *, bits: int = 8, quality: int = 95) -> None:
+def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: int = 95) -> None:
     """Write an image file; values are stored as they are encoded.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         ``.png``, ``.jpg``/``.jpeg``, ``.webp`` (values clipped to [0, 1]), ``.hdr`` or ``.exr``.
     image : ndarray of float32, shape (H, W) or (H, W, 3) or (H, W, 4)
     bits : {8, 16}
@@ -108,11 +117,12 @@ def write_image(path: Path, image: FloatArray, *, bits: int = 8, quality: int = 
 
     Raises
     ------
-    InvalidInputError
+    InvalidInputError, DtypeError
         If the format cannot hold the image.
     ImageFileError
         If the file cannot be written.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _READABLE:
         raise InvalidInputError(
@@ -121,19 +131,23 @@ def write_image(path: Path, image: FloatArray, *, bits: int = 8, quality: int = 
     if suffix == ".exr":
         write_exr_layers(path, {"": image})
         return
+    _check_pixels(image, path)
     if suffix == ".hdr":
-        data = _encode(".hdr", _swap_red_blue(image), [], path)
+        data = _encode(".hdr", _swap_red_blue(image.astype(np.float32)), [], path)
     elif suffix == ".png":
-        data = encode_png(image, bits=bits)
+        data = _encode(".png", _swap_red_blue(_quantise(image, bits, path)), [], path)
     else:
         key = cv2.IMWRITE_JPEG_QUALITY if suffix in _JPEG else cv2.IMWRITE_WEBP_QUALITY
-        data = _encode(suffix, _swap_red_blue(_quantise(image, 8)), [int(key), quality], path)
+        pixels = _swap_red_blue(_quantise(image, 8, path))
+        data = _encode(suffix, pixels, [int(key), quality], path)
     _write_atomically(path, data)
 
 
 def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:
     """PNG bytes of an image with values in [0, 1] (clipped)."""
-    return _encode(".png", _swap_red_blue(_quantise(image, bits)), [], Path("image.png"))
+    path = Path("image.png")
+    _check_pixels(image, path)
+    return _encode(".png", _swap_red_blue(_quantise(image, bits, path)), [], path)
 
 
 def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[Any]]]) -> None:
@@ -143,6 +157,7 @@ def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[An
     """
     channels = {}
     for layer, image in layers.items():
+        _check_pixels(image, path)
         pixels = image if image.dtype == np.float16 else image.astype(np.float32)
         planes = pixels[..., None] if pixels.ndim == 2 else pixels
         names = {1: "V", 2: "VA", 3: "RGB", 4: "RGBA"}[planes.shape[2]]
@@ -162,7 +177,9 @@ def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[An
 def _decode(data: bytes, path: Path) -> FloatArray:
     if not data:
         raise ImageFileError(f"{path}: the file is empty; expected an image")
-    if path.suffix.lower() in _JPEG:
+    if not data.startswith(_SIGNATURES):
+        raise ImageFileError(f"{path}: expected a PNG, JPEG, WebP or Radiance HDR file")
+    if data.startswith(_JPEG_SIGNATURE):
         # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
         if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
             raise ImageFileError(f"{path}: the JPEG is truncated (no end-of-image marker)")
@@ -182,13 +199,28 @@ def _decode(data: bytes, path: Path) -> FloatArray:
 
 
 def _encode(suffix: str, pixels: npt.NDArray[Any], options: list[int], path: Path) -> bytes:
-    done, buffer = cv2.imencode(suffix, pixels, options)
+    try:
+        done, buffer = cv2.imencode(suffix, pixels, options)
+    except cv2.error:
+        done = False
     if not done:
         raise InvalidInputError(f"{path}: {suffix} cannot hold an image of shape {pixels.shape}")
     return bytes(buffer)
 
 
-def _quantise(image: FloatArray, bits: int) -> npt.NDArray[Any]:
+def _check_pixels(image: FloatArray, path: Path) -> None:
+    if not isinstance(image, np.ndarray) or not np.issubdtype(image.dtype, np.floating):
+        got = getattr(image, "dtype", type(image).__name__)
+        raise DtypeError(f"{path}: expected a float32 image, got {got}; convert it first")
+    if not 2 <= image.ndim <= 3 or image.size == 0 or (image.ndim == 3 and image.shape[2] > 4):
+        raise ShapeError(f"{path}: expected shape (H, W) or (H, W, 1..4), got {image.shape}")
+
+
+def _quantise(image: FloatArray, bits: int, path: Path) -> npt.NDArray[Any]:
+    if bits not in (8, 16):
+        raise InvalidInputError(f"bits: expected 8 or 16, got {bits!r}")
+    if not np.isfinite(image).all():
+        raise NonFiniteError(f"{path}: the image holds NaN or infinity; pixels are in [0, 1]")
     top = 2**bits - 1
     return np.round(np.clip(image, 0.0, 1.0) * top).astype(np.uint8 if bits == 8 else np.uint16)
 
@@ -215,6 +247,8 @@ def _read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise ImageFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # a name no file can have
+        raise ImageFileError(f"{path!r}: cannot be read: {error}") from error
 
 
 def _write_atomically(path: Path, data: bytes) -> None:

@@ -59,3 +59,10 @@ def composited(
         ratio = region_ratio(ratio, region)
     k = colour_balance(background, no_shadow, mask)
     return k * predicted * mask + background * (1.0 - mask) * ratio
+
+
+def displayed(encoded: Tensor) -> Tensor:
+    """Gamma 2.2 pixels as sRGB ones (IEC 61966-2-1), both in [0, 1]."""
+    linear = encoded.clamp(0.0, 1.0) ** 2.2
+    curve = 1.055 * linear ** (1.0 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, curve)

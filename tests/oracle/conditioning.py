@@ -37,12 +37,10 @@ def aligned_to_footprint(
 ) -> Tensor:
     """Premultiplied object depth under the (m, c) that minimise Σ (m·d_foot + c − d_bg)².
 
-    The sum runs over the footprint's pixels. Normal equations of the line fit: m is the covariance
-    of the two depths over the variance of the footprint's.
+    The sum runs over the footprint's pixels.
     """
-    x, y = d_foot[footprint], d_bg[footprint]
-    m = ((x - x.mean()) * (y - y.mean())).sum() / ((x - x.mean()) ** 2).sum()
-    c = y.mean() - m * x.mean()
+    design = torch.stack([d_foot[footprint], torch.ones_like(d_foot[footprint])], dim=1)
+    m, c = torch.linalg.lstsq(design, d_bg[footprint][:, None]).solution.flatten()
     return m * d_obj + c * alpha
 
 
@@ -51,6 +49,11 @@ def aligned_to_nearest(d_obj: Tensor, alpha: Tensor, inside: Tensor, d_bg: Tenso
     straight = d_obj[inside] / alpha[inside]
     shift = d_bg[inside].min() - straight.min()
     return d_obj + shift * alpha
+
+
+def guiding_shadow(m_shw: Tensor, m_obj: Tensor) -> Tensor:
+    """The shadow on the background: what falls under the object is not guidance."""
+    return m_shw * (1.0 - m_obj)
 
 
 def masked_region(m_shw: Tensor, m_obj: Tensor) -> Tensor:
@@ -72,8 +75,17 @@ def shading_mask(region: Tensor, like: Tensor) -> Tensor:
 def rough_composite(
     background: Tensor, albedo_obj: Tensor, alpha: Tensor, m_shw: Tensor, opacity: float = 1.0
 ) -> Tensor:
-    """g: the object's albedo over the background darkened by the guiding shadow."""
+    """g: the object's albedo over the background darkened by the guiding shadow.
+
+    `background` is gamma-encoded, as in every image the VAE sees, and so is the result; the
+    albedo enters as the map it is.
+    """
     return over(albedo_obj, background * (1.0 - opacity * m_shw), alpha)
+
+
+def gamma_encoded(linear: Tensor) -> Tensor:
+    """clip(x, 0, 1)^(1/2.2), the encoding the renderer was trained on."""
+    return linear.clamp(0.0, 1.0) ** (1.0 / 2.2)
 
 
 def for_encoder(image: Tensor) -> Tensor:

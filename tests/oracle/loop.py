@@ -53,6 +53,22 @@ def blended(z: Tensor, noised_composite: Tensor, mask: Tensor, beta: float) -> T
     return (1.0 - beta * mask) * z + beta * mask * noised_composite
 
 
+def renderer_alone(
+    predict: Predict,
+    conditioning: Tensor,
+    initial: Tensor,
+    timesteps: list[int],
+    alpha_bar: Tensor,
+    final_alpha_bar: Tensor,
+) -> Tensor:
+    """The backbone without SpotLight, as for the no-shadow prediction: its last latents."""
+    levels = noise_levels(timesteps, alpha_bar, final_alpha_bar)
+    z = initial
+    for step, t in enumerate(timesteps):
+        z = ddim_step(z, predict(z, t, conditioning), levels[step], levels[step + 1])
+    return z
+
+
 def spotlight(
     predict: Predict,
     positive: Branch,

@@ -1,0 +1,1 @@
+"""The numpy runtime held against the float64 oracle, and against diffusers."""

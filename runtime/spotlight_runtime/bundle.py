@@ -135,7 +135,10 @@ def save_bundle(scene: Scene, folder: Path) -> None:
 
 
 def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]) -> FloatArray:
-    path = (folder / entry.file).resolve()
+    try:
+        path = (folder / entry.file).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a null byte, a symlink to itself
+        raise SceneError(f"{folder / SCENE_FILE}: {entry.file!r} is no file: {error}") from error
     if not path.is_relative_to(folder.resolve()):
         raise UnsafePathError(
             f"{folder / SCENE_FILE}: {entry.file!r} lies outside the bundle; "
@@ -153,9 +156,10 @@ def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]
         pixels = pixels[..., :channels]
     else:
         raise ShapeError(f"{path}: expected {channels} channels, got shape {pixels.shape}")
-    if entry.encoding == "normal":
-        return (np.float32(2.0) * pixels - np.float32(1.0)) * np.float32(entry.scale)
-    return decode_to_linear(pixels, entry.encoding) * np.float32(entry.scale)
+    with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
+        if entry.encoding == "normal":
+            return (np.float32(2.0) * pixels - np.float32(1.0)) * np.float32(entry.scale)
+        return decode_to_linear(pixels, entry.encoding) * np.float32(entry.scale)
 
 
 def _write_maps(folder: Path, owner: str, maps: Intrinsics) -> dict[str, MapFile]:
@@ -183,20 +187,27 @@ def unpack(archive: Path, folder: Path) -> Path:
     SceneError
         If the archive is damaged or unpacks to more than the limit.
     """
-    with zipfile.ZipFile(archive) as bundle:
-        total = 0
-        for entry in bundle.infolist():
-            total += entry.file_size
-            if not (folder / entry.filename).resolve().is_relative_to(folder.resolve()):
-                raise UnsafePathError(f"{archive}: {entry.filename!r} lies outside the bundle")
-        if total > MAX_ZIP_BYTES:
-            raise SceneError(
-                f"{archive}: unpacks to {total} bytes, more than the limit of {MAX_ZIP_BYTES}; "
-                "load the unpacked folder instead"
-            )
-        try:
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with zipfile.ZipFile(archive) as bundle:
+            _check_entries(bundle, archive, folder)
             bundle.extractall(folder)
-        except (zipfile.BadZipFile, OSError, RuntimeError) as error:
-            raise SceneError(f"{archive}: cannot be unpacked: {error}") from error
+    except SceneError:
+        raise
+    except Exception as error:  # what zipfile and its decompressors raise shares no base class
+        raise SceneError(f"{archive}: cannot be unpacked: {error}") from error
     entries = list(folder.iterdir())
     return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
+
+
+def _check_entries(bundle: zipfile.ZipFile, archive: Path, folder: Path) -> None:
+    total = 0
+    for entry in bundle.infolist():
+        total += entry.file_size
+        if not (folder / entry.filename).resolve().is_relative_to(folder.resolve()):
+            raise UnsafePathError(f"{archive}: {entry.filename!r} lies outside the bundle")
+    if total > MAX_ZIP_BYTES:
+        raise SceneError(
+            f"{archive}: unpacks to {total} bytes, more than the limit of {MAX_ZIP_BYTES}; "
+            "load the unpacked folder instead"
+        )

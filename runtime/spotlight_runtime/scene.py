@@ -163,7 +163,8 @@ class Scene:
 
         if path.is_file() and zipfile.is_zipfile(path):
             with tempfile.TemporaryDirectory(prefix="spotlight-scene-") as folder:
-                return cls.load(unpack(path, Path(folder)))
+                # Errors then name the archive, not only a folder that is gone.
+                return cls.load(unpack(path, Path(folder) / path.name))
         if (path / SCENE_FILE).is_file():
             return load_bundle(path)
         if bundle_file(path) is not None:

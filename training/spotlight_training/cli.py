@@ -1,0 +1,148 @@
+"""The command line of training: `spotlight-train render | hdris | export-testset`.
+
+Heavy imports live inside the commands, so that `--help` answers at once and each command needs only
+its own packages.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="spotlight-train",
+    no_args_is_help=True,
+    add_completion=False,
+    help="Render training data and train SpotLight.",
+)
+
+
+@app.command()
+def render(
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="Folder for the records; a folder per split below it."),
+    ],
+    split: Annotated[
+        str, typer.Option(help="train, val or test: disjoint scenes, object kinds and panoramas.")
+    ] = "train",
+    count: Annotated[int, typer.Option(min=1, help="Scenes to render.")] = 100,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
+    stride: Annotated[
+        int, typer.Option(min=1, help="Step between seeds, to share a range among processes.")
+    ] = 1,
+    lights: Annotated[int, typer.Option(min=1, max=16, help="Dominant lights a scene.")] = 4,
+    evaluation: Annotated[
+        bool,
+        typer.Option(
+            "--evaluation", help="Eight azimuths at 45 degrees plus a random direction instead."
+        ),
+    ] = False,
+    spp: Annotated[int, typer.Option(help="Samples a pixel, a square number.")] = 16,
+    size: Annotated[int, typer.Option(min=16, max=2048, help="Image side in pixels.")] = 256,
+    quality: Annotated[
+        str, typer.Option(help="Denoiser network: fast, balanced or high.")
+    ] = "fast",
+    variant: Annotated[str, typer.Option(help="Renderer back end: auto, cuda or llvm.")] = "auto",
+    objects: Annotated[
+        Path | None, typer.Option(help="Folder of glTF or OBJ objects to insert as well.")
+    ] = None,
+    hdris: Annotated[Path | None, typer.Option(help="Folder of the panoramas.")] = None,
+    no_hdris: Annotated[bool, typer.Option("--no-hdris", help="Use gradient skies only.")] = False,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="CPU threads; all if not given.")
+    ] = None,
+) -> None:
+    """Render scenes into records; run it again to go on where it stopped."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    from .render.external import find_objects
+    from .render.scenes import SceneOptions
+    from .render.variant import select_variant
+
+    backend = select_variant(variant, threads)
+
+    from .render.denoise import Denoiser
+    from .render.driver import render_range
+    from .render.pipeline import RenderOptions
+
+    extents = find_objects(objects) if objects else {}
+    scene_options = SceneOptions(lights, evaluation, use_hdris=not no_hdris, file_extents=extents)
+    options = RenderOptions(side=size, spp=spp, objects=objects, hdris=hdris)
+    seeds = range(first_seed, first_seed + count * stride, stride)
+    typer.echo(f"rendering {count} {split} scenes with {backend} into {output / split}")
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, disable=not sys.stdout.isatty()) as bar:
+        task = bar.add_task(split, total=count)
+        denoiser = Denoiser(threads, quality)
+        for progress in render_range(split, seeds, output, scene_options, options, denoiser):
+            bar.update(task, advance=1, description=f"{split} {progress.seconds:.1f} s a scene")
+            if not sys.stdout.isatty() and not progress.skipped:
+                typer.echo(
+                    f"{progress.path.name} {progress.seconds:.1f} s "
+                    f"({progress.done}/{progress.total})"
+                )
+        denoiser.close()
+
+
+@app.command()
+def hdris(
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for the panoramas.")
+    ] = None,
+) -> None:
+    """Fetch Poly Haven's eight CC0 panoramas, as Blender's Python package bundles them."""
+    from .render.panoramas import fetch
+
+    for path in fetch(output):
+        typer.echo(str(path))
+
+
+@app.command("export-testset")
+def export_testset(
+    records: Annotated[Path, typer.Argument(help="Folder of records rendered with --evaluation.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the scenes, one folder each.")
+    ],
+    light: Annotated[
+        str, typer.Option(help="The light of the truth, background and composite.")
+    ] = "gt_dir",
+) -> None:
+    """Write records in the layout of the published SpotLight test set."""
+    from .render.testset import export_folder
+
+    for path in export_folder(records, output, light):
+        typer.echo(str(path))
+
+
+def main() -> None:
+    """Run the command line.
+
+    An error that names its remedy is printed as one line, without a traceback.
+    """
+    try:
+        app()
+    except (ValueError, KeyError, FileNotFoundError, RuntimeError, ImportError) as error:
+        message = str(error.args[0]) if error.args else str(error)
+        if isinstance(error, ImportError):
+            message += ". Install what it needs: pip install 'spotlight-relight[training]'"
+        typer.echo(f"spotlight-train: {message}", err=True)
+        raise SystemExit(1) from error
+
+
+if __name__ == "__main__":
+    main()

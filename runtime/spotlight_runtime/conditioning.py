@@ -78,7 +78,8 @@ def partial_shading(
     -------
     ndarray of float32, shape (H, W, 3)
     """
-    quotient = background / (albedo + np.float32(epsilon))
+    # Interpolated maps may dip below 0 by a hair; there the quotient would change sign.
+    quotient = background / (np.maximum(albedo, np.float32(0.0)) + np.float32(epsilon))
     shading = np.clip(quotient, entry.minimum, entry.maximum)
     return np.where(hidden[..., None], np.float32(_fill(entry)), shading)
 

@@ -88,7 +88,7 @@ def load_published(folder: Path, estimates: Path | None = None) -> Scene:
             roughness=_scalar(layers.get("roughness")),
             metallic=_scalar(layers.get("metallic")),
         ),
-        object_mask=np.clip(_mask(layers["mask"]), 0.0, 1.0),
+        object_mask=np.clip(_plane(layers["mask"]), 0.0, 1.0),
         footprint_depth=_footprint(layers.get("footprint_depth")),
         truth=_colour(layers["composite"]) if "composite" in layers else None,
         name=name,
@@ -99,14 +99,13 @@ def _colour(pixels: FloatArray) -> FloatArray:
     return np.ascontiguousarray(pixels[..., :3])
 
 
-def _mask(pixels: FloatArray) -> FloatArray:
-    """The mask layer may be one channel, or grey with alpha."""
-    return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[..., 0])
-
-
 def _scalar(pixels: FloatArray | None) -> FloatArray | None:
+    return None if pixels is None else _plane(pixels)
+
+
+def _plane(pixels: FloatArray) -> FloatArray:
     """Value of a scalar map: last but one of premultiplied RGBA, any of grey RGB."""
-    if pixels is None or pixels.ndim == 2:
+    if pixels.ndim == 2:
         return pixels
     return np.ascontiguousarray(pixels[..., 2 if pixels.shape[2] == 4 else 0])
 

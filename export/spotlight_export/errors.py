@@ -8,6 +8,7 @@
     │   ├── ConditioningChannelsError
     │   ├── FingerprintError
     │   └── UnsupportedArchitectureError
+    ├── ModelFolderError (also ValueError)
     ├── OutputFolderError (also FileExistsError)
     ├── TraceError (also RuntimeError)
     ├── QuantisationError (also RuntimeError)
@@ -24,6 +25,7 @@ __all__ = [
     "ExportError",
     "FingerprintError",
     "MissingWeightsError",
+    "ModelFolderError",
     "OutputFolderError",
     "QuantisationError",
     "TraceError",
@@ -54,6 +56,10 @@ class FingerprintError(CheckpointError):
 
 class UnsupportedArchitectureError(CheckpointError):
     """The checkpoint uses a variant whose arithmetic this exporter does not reproduce."""
+
+
+class ModelFolderError(ExportError, ValueError):
+    """A folder is not a model, or not the model its manifest describes."""
 
 
 class OutputFolderError(ExportError, FileExistsError):

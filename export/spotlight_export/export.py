@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import gc
+import shutil
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 from spotlight_export.adoption import adopt_configuration
 from spotlight_export.checkpoint import open_checkpoint
+from spotlight_export.convert import convert_graphs
 from spotlight_export.errors import ExportError
 from spotlight_export.folder import file_entries, new_model_folder
 from spotlight_export.jobs import graph_jobs
 from spotlight_export.tracing import OPSET, save_graph, trace
-from spotlight_spec import BACKBONES, BackboneSpec, GraphLayout, Manifest, Precision, Source
+from spotlight_spec import (
+    BACKBONES,
+    BackboneSpec,
+    GraphContract,
+    GraphLayout,
+    Manifest,
+    Precision,
+    Source,
+)
 
 __all__ = ["export_backbone", "find_backbone"]
 
@@ -70,16 +80,22 @@ def export_backbone(
     )
     for line in warnings:
         warn(line)
-    contracts = []
+    contracts: list[GraphContract] = []
     with new_model_folder(Path(out), force=force) as folder:
+        traced = folder if precision == "fp32" else folder / "float32"
+        traced.mkdir(exist_ok=True)
         for job in graph_jobs(checkpoint, spec, layout):
             report(f"tracing {job.contract.name}")
             model = trace(job.network, job.example, job.contract)
             report(f"writing {job.contract.file_name}")
-            save_graph(model, folder / job.contract.file_name)
+            save_graph(model, traced / job.contract.file_name)
             contracts.append(job.contract)
             del job, model
             gc.collect()  # traced graphs are cyclic; without this two models' weights coexist
+        notes = {}
+        if traced != folder:
+            notes = convert_graphs(traced, folder, spec, contracts, precision, report)
+            shutil.rmtree(traced)
         manifest = Manifest(
             backbone=spec,
             graphs=tuple(contracts),
@@ -87,8 +103,11 @@ def export_backbone(
             precision=precision,
             opset=OPSET,
             files=file_entries(folder),
-            source=Source(str(base), str(controlnet), checkpoint.fingerprint()),
+            source=Source(
+                str(base), str(controlnet), checkpoint.fingerprint(), str(unet) if unet else None
+            ),
             exporter={tool: version(tool) for tool in TOOLS},
+            provenance=notes,
         )
         manifest.write(folder)
     return manifest

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from spotlight_export.errors import OutputFolderError
-from spotlight_spec import MANIFEST_NAME, FileEntry, sha256_of
+from spotlight_export.errors import ModelFolderError, OutputFolderError
+from spotlight_spec import MANIFEST_NAME, FileEntry, Manifest, RecordError, sha256_of
 
-__all__ = ["file_entries", "new_model_folder"]
+__all__ = ["file_entries", "new_model_folder", "read_model"]
 
 
 @contextmanager
@@ -58,6 +58,25 @@ def file_entries(folder: Path) -> tuple[FileEntry, ...]:
         for path in sorted(folder.iterdir())
         if path.name != MANIFEST_NAME
     )
+
+
+def read_model(folder: Path) -> Manifest:
+    """Manifest of a model folder whose files are all as it says.
+
+    Raises
+    ------
+    ModelFolderError
+        If the folder is no model, or a file is missing or changed.
+    """
+    try:
+        manifest = Manifest.read(folder)
+    except (FileNotFoundError, RecordError) as error:
+        raise ModelFolderError(
+            f"{folder} is not a model folder ({error}); pass a folder that spotlight-export wrote"
+        ) from error
+    if problems := manifest.damaged_files(folder):
+        raise ModelFolderError(f"{folder}: {'; '.join(problems)}. Export the model again")
+    return manifest
 
 
 def _check_replaceable(out: Path, force: bool) -> None:

@@ -51,7 +51,9 @@ class FileEntry:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Checkpoint a model was exported from: a folder or hub id, and its weights' fingerprint.
+    """Checkpoint a model was exported from: folders or hub ids, and its weights' fingerprint.
+
+    ``unet`` is set where a finetuned UNet took the place of the base model's.
 
     The fingerprint is the sha256 over the checkpoints' tensor names, shapes and bytes, so that
     ``verify`` refuses to compare with other weights.
@@ -60,6 +62,7 @@ class Source:
     base: str
     controlnet: str | None
     fingerprint: str
+    unet: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

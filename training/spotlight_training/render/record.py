@@ -186,7 +186,8 @@ class SceneRecord:
             f"shadow_{name}": codec.to_png(codec.encode_unit(s)) for name, s in self.shadows.items()
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(path.name + ".part")
+        # Its own name for each process, so that two that were started on one folder cannot mix.
+        temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as file:
             # A fixed date, so that equal content gives equal bytes.
             file.writestr(zipfile.ZipInfo(_DESCRIPTION), self.description.to_json())

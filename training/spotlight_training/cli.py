@@ -1,4 +1,4 @@
-"""The command line of training: `spotlight-train render | hdris | export-testset`.
+"""The command line of training: render, pack, train, export.
 
 Heavy imports live inside the commands, so that `--help` answers at once and each command needs only
 its own packages.
@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from .loop import TrainingOptions
 
 app = typer.Typer(
     name="spotlight-train",
@@ -127,6 +130,120 @@ def export_testset(
 
     for path in export_folder(records, output, light):
         typer.echo(str(path))
+
+
+@app.command()
+def pack(
+    records: Annotated[Path, typer.Argument(help="Folder of rendered scenes of one split.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Packed file to write.")],
+    lights: Annotated[int, typer.Option(help="Lights taken from each scene.")] = 4,
+) -> None:
+    """Pack rendered scenes into one memory-mapped file to train from."""
+    from .data import pack as pack_records
+
+    typer.echo(f"{output}: {pack_records(records, output, lights=lights)} scenes")
+
+
+Data = Annotated[Path, typer.Option("--data", help="Packed training scenes.")]
+HeldOut = Annotated[Path, typer.Option("--held-out", help="Packed validation scenes.")]
+Run = Annotated[Path, typer.Option("--run", help="Folder of the run; an old run goes on.")]
+Steps = Annotated[int, typer.Option(help="Optimiser steps in all.")]
+Minutes = Annotated[float | None, typer.Option(help="Stop after so long, to go on later.")]
+BatchSize = Annotated[int, typer.Option("--batch", help="Samples a step.")]
+LearningRate = Annotated[float, typer.Option(help="Peak learning rate.")]
+Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+Threads = Annotated[int, typer.Option(help="Threads that prepare batches.")]
+Seed = Annotated[int, typer.Option(help="Of weights, samples and noise.")]
+Width = Annotated[int, typer.Option(help="Channels of the first level.")]
+
+
+@app.command()
+def vae(
+    data: Data,
+    held_out: HeldOut,
+    run: Run,
+    steps: Steps = 40_000,
+    minutes: Minutes = None,
+    batch: BatchSize = 8,
+    learning_rate: LearningRate = 5e-4,
+    device: Device = "cpu",
+    threads: Threads = 1,
+    seed: Seed = 0,
+    latent: Annotated[int, typer.Option(help="Latent channels.")] = 12,
+    width: Width = 96,
+) -> None:
+    """Train the autoencoder; the run folder has loss curve and sample sheet as it goes."""
+    from . import runs
+
+    options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
+    runs.train_vae(data, held_out, run, options, latent=latent, width=width)
+
+
+@app.command()
+def renderer(
+    data: Data,
+    held_out: HeldOut,
+    vae_run: Annotated[Path, typer.Option("--vae", help="Run folder of the trained VAE.")],
+    run: Run,
+    steps: Steps = 60_000,
+    minutes: Minutes = None,
+    batch: BatchSize = 16,
+    learning_rate: LearningRate = 3e-4,
+    device: Device = "cpu",
+    threads: Threads = 1,
+    seed: Seed = 0,
+    width: Width = 96,
+) -> None:
+    """Train the latent renderer over a trained autoencoder."""
+    from . import runs
+
+    options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
+    runs.train_renderer(data, held_out, vae_run, run, options, width=width)
+
+
+@app.command()
+def intrinsics(
+    data: Data,
+    held_out: HeldOut,
+    run: Run,
+    steps: Steps = 30_000,
+    minutes: Minutes = None,
+    batch: BatchSize = 8,
+    learning_rate: LearningRate = 4e-4,
+    device: Device = "cpu",
+    threads: Threads = 1,
+    seed: Seed = 0,
+) -> None:
+    """Train the estimator of albedo, normals and depth of a photograph."""
+    from . import runs
+
+    options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
+    runs.train_intrinsics(data, held_out, run, options)
+
+
+def _options(
+    steps: int,
+    minutes: float | None,
+    batch: int,
+    learning_rate: float,
+    device: str,
+    threads: int,
+    seed: int,
+) -> TrainingOptions:
+    import torch
+
+    from .loop import TrainingOptions
+
+    torch.manual_seed(seed)
+    return TrainingOptions(
+        steps=steps,
+        minutes=minutes,
+        batch=batch,
+        learning_rate=learning_rate,
+        seed=seed,
+        device=device,
+        threads=threads,
+    )
 
 
 def main() -> None:

@@ -1,0 +1,62 @@
+"""Random masks that hide shading from the renderer while it learns (ZeroComp's manner).
+
+Rectangles, circles, the object's own shape, or everything – never the outline of a shadow by
+itself: SpotLight hides exactly that at inference, and stays training-free only if the renderer was
+never taught what it means.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["random_mask"]
+
+BoolArray = npt.NDArray[np.bool_]
+DROP_ALL = 0.1
+OBJECT = 0.75
+
+
+def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) -> BoolArray:
+    """Where shading is hidden.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    object_mask : ndarray of float32, shape (H, W)
+        Object coverage in [0, 1].
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        One picture in ten is hidden whole; three in four hide the object, grown by up to 24
+        pixels; up to three rectangles or ellipses come on top, so the hidden region has no
+        telling outline.
+    """
+    height, width = object_mask.shape
+    if rng.random() < DROP_ALL:
+        return np.ones((height, width), dtype=bool)
+    hidden = np.zeros((height, width), dtype=np.uint8)
+    shapes = int(rng.integers(0, 4))
+    if rng.random() < OBJECT:
+        grow = 1 + 2 * int(rng.integers(1, 13))
+        hidden |= cv2.dilate((object_mask > 0.0).astype(np.uint8), np.ones((grow, grow), np.uint8))
+    else:
+        shapes = max(shapes, 1)
+    for _ in range(shapes):
+        _stamp(rng, hidden)
+    return hidden.astype(bool)
+
+
+def _stamp(rng: np.random.Generator, hidden: npt.NDArray[np.uint8]) -> None:
+    """Add a rectangle or ellipse of 5 to 60 % of each side, anywhere."""
+    height, width = hidden.shape
+    half = (rng.uniform(0.05, 0.6, 2) * (width, height) / 2).astype(int) + 1
+    centre = (rng.uniform(0.0, 1.0, 2) * (width, height)).astype(int)
+    if rng.random() < 0.5:
+        low, high = centre - half, centre + half
+        cv2.rectangle(hidden, low.tolist(), high.tolist(), 1, thickness=-1)
+    else:
+        angle = float(rng.uniform(0.0, 180.0))
+        cv2.ellipse(hidden, centre.tolist(), half.tolist(), angle, 0.0, 360.0, 1, thickness=-1)

@@ -1,0 +1,286 @@
+"""The embedded backbone's networks: a small VAE, a latent renderer, and an intrinsics estimator.
+
+Sized for two CPU cores. All of them are convolutional with dynamic height and width (multiples of
+8 pixels, odd latent sizes included), so the exported graphs take any picture.
+
+* `VAE`: 8× down. Pixels are folded into channels first (pixel unshuffle), so nothing is computed at
+  full resolution.
+* `ConditionEncoder` and `Denoiser`: the renderer. Intrinsic maps enter as latents concatenated to
+  the noisy latents, as RGB↔X does: albedo and normals through the VAE, so that what is copied to
+  the output needs no translation, and all maps once more through a learned projection, which keeps
+  the edges the VAE loses.
+* `IntrinsicsNet`: a photograph's albedo, normals and depth.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+__all__ = ["VAE", "ConditionEncoder", "Denoiser", "IntrinsicsNet"]
+
+
+def _norm(channels: int) -> nn.GroupNorm:
+    return nn.GroupNorm(math.gcd(32, channels), channels)
+
+
+class ResBlock(nn.Module):
+    """Two 3×3 convolutions with a skip; a time embedding may scale and shift the second norm."""
+
+    def __init__(self, inputs: int, outputs: int, embedding: int | None = None) -> None:
+        super().__init__()
+        self.norm1, self.conv1 = _norm(inputs), nn.Conv2d(inputs, outputs, 3, padding=1)
+        self.norm2, self.conv2 = _norm(outputs), nn.Conv2d(outputs, outputs, 3, padding=1)
+        self.modulate = None if embedding is None else nn.Linear(embedding, 2 * outputs)
+        self.skip = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+        nn.init.zeros_(self.conv2.weight)
+
+    def forward(self, x: Tensor, embedding: Tensor | None = None) -> Tensor:
+        h = self.conv1(functional.silu(self.norm1(x)))
+        h = self.norm2(h)
+        if self.modulate is not None and embedding is not None:
+            scale, shift = self.modulate(embedding)[:, :, None, None].chunk(2, dim=1)
+            h = h * (1 + scale) + shift
+        return self.skip(x) + self.conv2(functional.silu(h))
+
+
+class Attention(nn.Module):
+    """Self-attention over all positions."""
+
+    def __init__(self, channels: int, head_channels: int = 64) -> None:
+        super().__init__()
+        self.heads = channels // head_channels
+        self.norm = _norm(channels)
+        self.qkv = nn.Conv2d(channels, 3 * channels, 1)
+        self.out = nn.Conv2d(channels, channels, 1)
+        nn.init.zeros_(self.out.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        batch, channels, height, width = x.shape
+        qkv = self.qkv(self.norm(x)).reshape(batch, 3, self.heads, -1, height * width)
+        q, k, v = (t.transpose(-1, -2) for t in qkv.unbind(1))
+        h = functional.scaled_dot_product_attention(q, k, v)
+        return x + self.out(h.transpose(-1, -2).reshape(batch, channels, height, width))
+
+
+def _double(x: Tensor, like: Tensor | None = None) -> Tensor:
+    """Nearest upsampling by 2, cropped to ``like`` where that is one smaller."""
+    x = x.repeat_interleave(2, dim=-2).repeat_interleave(2, dim=-1)
+    return x if like is None else x[..., : like.shape[-2], : like.shape[-1]]
+
+
+class VAE(nn.Module):
+    """Autoencoder with a diagonal Gaussian posterior; images in [−1, 1], 8× down."""
+
+    def __init__(self, latent: int = 8, width: int = 96) -> None:
+        super().__init__()
+        self.latent, self.width = latent, width
+        wide = 2 * width
+        self.encoder = nn.Sequential(
+            nn.PixelUnshuffle(4),
+            nn.Conv2d(48, width, 3, padding=1),
+            *(ResBlock(width, width) for _ in range(2)),
+            nn.Conv2d(width, wide, 3, stride=2, padding=1),
+            *(ResBlock(wide, wide) for _ in range(3)),
+            _norm(wide),
+            nn.SiLU(),
+            nn.Conv2d(wide, 2 * latent, 3, padding=1),
+        )
+        self.decoder_low = nn.Sequential(
+            nn.Conv2d(latent, wide, 3, padding=1), *(ResBlock(wide, wide) for _ in range(3))
+        )
+        self.decoder_middle = nn.Sequential(
+            nn.Conv2d(wide, width, 3, padding=1), *(ResBlock(width, width) for _ in range(3))
+        )
+        self.decoder_high = nn.Sequential(
+            _norm(width),
+            nn.SiLU(),
+            nn.Conv2d(width, 4 * 32, 3, padding=1),
+            nn.PixelShuffle(2),
+            ResBlock(32, 32),
+            nn.Conv2d(32, 12, 3, padding=1),
+            nn.PixelShuffle(2),
+        )
+
+    def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Posterior mean and log variance, (B, latent, H/8, W/8)."""
+        mean, log_variance = self.encoder(image).chunk(2, dim=1)
+        return mean, log_variance.clamp(-30.0, 20.0)
+
+    def decode(self, z: Tensor) -> Tensor:
+        """Image (B, 3, H, W), nominally in [−1, 1]."""
+        return self.decoder_high(self.decoder_middle(_double(self.decoder_low(z))))
+
+
+class ConditionEncoder(nn.Module):
+    """Conditioning maps → condition at latent size.
+
+    Parameters
+    ----------
+    vae : VAE
+        Trained and frozen.
+    maps : int
+        Channels of the conditioning array.
+    albedo, normal : slice
+        Where in it albedo and normals are, both in [0, 1].
+    scale : float
+        The latent scaling factor.
+    """
+
+    def __init__(
+        self, vae: VAE, maps: int, albedo: slice, normal: slice, scale: float, learned: int = 64
+    ) -> None:
+        super().__init__()
+        self.vae_encoder, self.latent = vae.encoder, vae.latent
+        self.albedo, self.normal, self.scale = albedo, normal, scale
+        self.project = nn.Sequential(
+            nn.PixelUnshuffle(8),
+            nn.Conv2d(64 * maps, 2 * learned, 1),
+            nn.SiLU(),
+            nn.Conv2d(2 * learned, learned, 3, padding=1),
+        )
+        self.vae_encoder.requires_grad_(False)
+
+    @property
+    def channels(self) -> int:
+        """Channels of the condition."""
+        return 2 * self.latent + self.project[-1].out_channels
+
+    def forward(self, conditioning: Tensor) -> Tensor:
+        """Condition (B, E, H/8, W/8) of maps (B, K, H, W)."""
+        encoded = [
+            self.scale * self.vae_encoder(2 * conditioning[:, part] - 1)[:, : self.latent]
+            for part in (self.albedo, self.normal)
+        ]
+        # Depth and shading reach 20 and 1,000; the logarithm keeps them in the network's range
+        # and leaves the fill value −1 apart from every known value.
+        squashed = torch.sign(conditioning) * torch.log1p(conditioning.abs())
+        return torch.cat([*encoded, self.project(squashed)], dim=1)
+
+
+class Denoiser(nn.Module):
+    """U-Net over (noisy latents, condition), predicting v."""
+
+    def __init__(
+        self,
+        latent: int,
+        condition: int,
+        widths: tuple[int, ...] = (128, 256, 384),
+        blocks: int = 2,
+    ) -> None:
+        super().__init__()
+        self.widths = widths
+        embedding = 4 * widths[0]
+        self.embed = nn.Sequential(
+            nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
+        )
+        self.enter = nn.Conv2d(latent + condition, widths[0], 3, padding=1)
+        self.down, self.up = nn.ModuleList(), nn.ModuleList()
+        channels, skips = widths[0], [widths[0]]
+        for level, width in enumerate(widths):
+            for _ in range(blocks):
+                self.down.append(_Stage(channels, width, embedding, attend=level > 0))
+                channels = width
+                skips.append(channels)
+            if level < len(widths) - 1:
+                self.down.append(nn.Conv2d(channels, channels, 3, stride=2, padding=1))
+                skips.append(channels)
+        self.middle = _Stage(channels, channels, embedding, attend=True)
+        for level, width in reversed(list(enumerate(widths))):
+            for _ in range(blocks + 1):
+                self.up.append(_Stage(channels + skips.pop(), width, embedding, attend=level > 0))
+                channels = width
+            if level > 0:
+                self.up.append(nn.Conv2d(channels, channels, 3, padding=1))
+        self.leave = nn.Sequential(
+            _norm(channels), nn.SiLU(), nn.Conv2d(channels, latent, 3, padding=1)
+        )
+
+    def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> Tensor:
+        """Prediction v, shape of ``latents``; ``timestep`` is int64 (1,) or (B,)."""
+        embedding = self.embed(_sinusoid(timestep, self.widths[0]).to(latents.dtype))
+        x = self.enter(torch.cat([latents, condition], dim=1))
+        skips = [x]
+        for stage in self.down:
+            x = stage(x, embedding) if isinstance(stage, _Stage) else stage(x)
+            skips.append(x)
+        x = self.middle(x, embedding)
+        for stage in self.up:
+            if isinstance(stage, _Stage):
+                x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
+            else:
+                x = stage(_double(x, like=skips[-1]))
+        return self.leave(x)
+
+
+class _Stage(nn.Module):
+    def __init__(self, inputs: int, outputs: int, embedding: int, *, attend: bool) -> None:
+        super().__init__()
+        self.block = ResBlock(inputs, outputs, embedding)
+        self.attention = Attention(outputs) if attend else nn.Identity()
+
+    def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
+        return self.attention(self.block(x, embedding))
+
+
+def _sinusoid(timestep: Tensor, channels: int) -> Tensor:
+    half = torch.arange(channels // 2, device=timestep.device, dtype=torch.float32)
+    frequencies = torch.exp(half * (-math.log(10_000.0) / (channels // 2)))
+    angles = timestep.float()[:, None] * frequencies
+    return torch.cat([angles.sin(), angles.cos()], dim=-1)
+
+
+class IntrinsicsNet(nn.Module):
+    """Photograph in [0, 1] → albedo in [0, 1], unit normals, positive depth (B, 7, H, W)."""
+
+    def __init__(self, widths: tuple[int, ...] = (64, 128, 192, 256)) -> None:
+        super().__init__()
+        self.widths = widths
+        self.enter = nn.Sequential(nn.PixelUnshuffle(4), nn.Conv2d(48, widths[0], 3, padding=1))
+        self.down = nn.ModuleList(
+            nn.ModuleList(
+                [
+                    nn.Sequential(ResBlock(a, a), ResBlock(a, a)),
+                    nn.Conv2d(a, b, 3, stride=2, padding=1),
+                ]
+            )
+            for a, b in pairwise(widths)
+        )
+        deepest = widths[-1]
+        self.middle = nn.Sequential(
+            ResBlock(deepest, deepest), Attention(deepest), ResBlock(deepest, deepest)
+        )
+        self.up = nn.ModuleList(
+            nn.ModuleList(
+                [
+                    nn.Conv2d(b, a, 3, padding=1),
+                    nn.Sequential(ResBlock(2 * a, a), ResBlock(a, a)),
+                ]
+            )
+            for a, b in reversed(list(pairwise(widths)))
+        )
+        self.leave = nn.Sequential(
+            _norm(widths[0]), nn.SiLU(), nn.Conv2d(widths[0], 16 * 7, 3, padding=1)
+        )
+        self.fold = nn.PixelShuffle(4)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Albedo, normal and depth stacked, of an image (B, 3, H, W)."""
+        x = self.enter(2 * image - 1)
+        skips = []
+        for blocks, shrink in self.down:
+            x = blocks(x)
+            skips.append(x)
+            x = shrink(x)
+        x = self.middle(x)
+        for grow, blocks in self.up:
+            skip = skips.pop()
+            x = blocks(torch.cat([grow(_double(x, like=skip)), skip], dim=1))
+        raw = self.fold(self.leave(x))
+        albedo = raw[:, :3].sigmoid()
+        normal = functional.normalize(raw[:, 3:6], dim=1, eps=1e-4)
+        return torch.cat([albedo, normal, raw[:, 6:].clamp(-8.0, 8.0).exp()], dim=1)

@@ -1,0 +1,196 @@
+"""The three trainings: which data, which network, which objective, and where the result goes.
+
+A run folder is resumable: calling the same function again goes on from its checkpoint. The averaged
+weights are saved as ``model.safetensors`` with the network's shape in its metadata.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import nn
+
+from spotlight_spec import BACKBONES, BackboneSpec
+from spotlight_training.data import IntrinsicsData, Packed, PictureData, RendererData
+from spotlight_training.loop import TrainingOptions, train
+from spotlight_training.networks import VAE, ConditionEncoder, Denoiser, IntrinsicsNet
+from spotlight_training.objectives import (
+    Renderer,
+    intrinsics_loss,
+    intrinsics_sheet,
+    renderer_loss,
+    renderer_sheet,
+    vae_loss,
+    vae_sheet,
+)
+
+__all__ = ["load_renderer", "load_vae", "train_intrinsics", "train_renderer", "train_vae"]
+
+SHEET_COLUMNS = 6
+MODEL_FILE = "model.safetensors"
+
+
+def train_vae(
+    data: Path, held_out: Path, run: Path, options: TrainingOptions, *, latent: int, width: int
+) -> None:
+    """Train the VAE on packed pictures; see `TrainingOptions`.
+
+    Parameters
+    ----------
+    data, held_out : Path
+        Packed scenes of the training and validation splits.
+    run : Path
+        Folder of the run.
+    options : TrainingOptions
+    latent, width : int
+        Latent channels; channels of the VAE's first level.
+    """
+    samples = _held_out(PictureData(Packed(held_out)))
+    model = train(
+        VAE(latent, width),
+        vae_loss(),
+        PictureData(Packed(data)),
+        run,
+        options,
+        vae_sheet(samples, options.device),
+    )
+    scale = _latent_scale(model, PictureData(Packed(data)), options.device)
+    _save(run, model, {"latent": latent, "width": width, "scaling_factor": scale})
+
+
+def train_renderer(
+    data: Path, held_out: Path, vae: Path, run: Path, options: TrainingOptions, *, width: int
+) -> None:
+    """Train condition encoder and denoiser over a trained VAE.
+
+    Parameters
+    ----------
+    data, held_out : Path
+        Packed scenes of the training and validation splits.
+    vae : Path
+        Run folder of the VAE.
+    run : Path
+        Folder of the run.
+    options : TrainingOptions
+    width : int
+        Channels of the U-Net's first level; the others have two and three times as many.
+    """
+    autoencoder, spec = load_vae(vae)
+    samples = _held_out(RendererData(Packed(held_out), spec))
+    model = train(
+        _renderer(autoencoder, spec, width),
+        renderer_loss(spec),
+        RendererData(Packed(data), spec),
+        run,
+        options,
+        renderer_sheet(samples, spec, options.device),
+    )
+    _save(run, model, {"width": width, "vae": _shape(autoencoder, spec)})
+
+
+def train_intrinsics(data: Path, held_out: Path, run: Path, options: TrainingOptions) -> None:
+    """Train the estimator of albedo, normals and depth; arguments as `train_vae`."""
+    samples = _held_out(IntrinsicsData(Packed(held_out)))
+    model = train(
+        IntrinsicsNet(),
+        intrinsics_loss,
+        IntrinsicsData(Packed(data)),
+        run,
+        options,
+        intrinsics_sheet(samples, options.device),
+    )
+    _save(run, model, {})
+
+
+def load_vae(run: Path) -> tuple[VAE, BackboneSpec]:
+    """The trained VAE of a run, and the embedded backbone's spec with its latent space."""
+    shape = _read_shape(run)
+    return _vae(shape, run / MODEL_FILE), _spec(shape)
+
+
+def load_renderer(run: Path) -> tuple[Renderer, BackboneSpec]:
+    """The trained renderer of a run with its VAE, and the spec of the backbone they make."""
+    shape = _read_shape(run)
+    spec = _spec(shape["vae"])
+    model = _renderer(_vae(shape["vae"], None), spec, shape["width"])
+    _load(model, run / MODEL_FILE)
+    return model.eval(), spec
+
+
+def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
+    channels = {}
+    start = 0
+    for entry in spec.maps:
+        channels[entry.name] = slice(start, start + entry.channels)
+        start += entry.channels
+    condition = ConditionEncoder(
+        vae, start, channels["albedo"], channels["normal"], spec.latent.scaling_factor
+    )
+    widths = (width, 2 * width, 3 * width)
+    return Renderer(vae, condition, Denoiser(spec.latent.channels, condition.channels, widths))
+
+
+def _spec(shape: dict[str, Any]) -> BackboneSpec:
+    mini = BACKBONES["mini"]
+    latent = replace(mini.latent, channels=shape["latent"], scaling_factor=shape["scaling_factor"])
+    return replace(mini, latent=latent)
+
+
+def _shape(vae: VAE, spec: BackboneSpec) -> dict[str, Any]:
+    return {
+        "latent": vae.latent,
+        "width": vae.width,
+        "scaling_factor": spec.latent.scaling_factor,
+    }
+
+
+def _vae(shape: dict[str, Any], weights: Path | None) -> VAE:
+    vae = VAE(shape["latent"], shape["width"])
+    if weights is not None:
+        _load(vae, weights)
+    return vae.eval()
+
+
+def _held_out(draw: Any) -> list[dict[str, Any]]:
+    """The same few samples for every sheet of a run."""
+    return [draw(np.random.default_rng([7, i])) for i in range(SHEET_COLUMNS)]
+
+
+@torch.no_grad()
+def _latent_scale(vae: nn.Module, draw: PictureData, device: str, count: int = 128) -> float:
+    """One over the standard deviation of latents: the scaling factor that makes it 1."""
+    assert isinstance(vae, VAE)
+    images = (draw(np.random.default_rng([8, i]))["image"] for i in range(count))
+    latents = [vae.encode(torch.from_numpy(image)[None].to(device))[0] for image in images]
+    return 1.0 / float(torch.cat(latents).float().std())
+
+
+def _save(run: Path, model: nn.Module, shape: dict[str, Any]) -> None:
+    partial = run / f"{MODEL_FILE}.partial"
+    # A renderer holds the VAE's encoder twice; safetensors stores no aliases.
+    weights = {name: value.cpu().clone() for name, value in model.state_dict().items()}
+    save_file(weights, partial, metadata={"shape": json.dumps(shape)})
+    partial.replace(run / MODEL_FILE)
+
+
+def _read_shape(run: Path) -> dict[str, Any]:
+    path = run / MODEL_FILE
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: expected a finished training; run its 'spotlight-train' command to the end"
+        )
+    with safe_open(path, framework="pt") as file:
+        shape: dict[str, Any] = json.loads(file.metadata()["shape"])
+    return shape
+
+
+def _load(model: nn.Module, path: Path) -> None:
+    with safe_open(path, framework="pt") as file:
+        model.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118

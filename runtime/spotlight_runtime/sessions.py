@@ -6,15 +6,23 @@ The rest of the runtime sees a network as a plain callable ``network(**arrays) -
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy.typing as npt
 
-from spotlight_runtime.errors import GraphContractError, ModelError, ProviderError
+from spotlight_runtime.errors import (
+    GraphContractError,
+    InvalidInputError,
+    ModelError,
+    ProviderError,
+)
 from spotlight_spec import GraphContract
 
 if TYPE_CHECKING:
@@ -50,7 +58,7 @@ def _cgroup_quota(cgroup: Path) -> float | None:
             limit = (cgroup / "cpu/cpu.cfs_quota_us").read_text()
             period = (cgroup / "cpu/cpu.cfs_period_us").read_text()
         return int(limit) / int(period) if int(limit) > 0 else None
-    except (OSError, ValueError):
+    except (OSError, ValueError, ZeroDivisionError):
         return None
 
 
@@ -67,11 +75,12 @@ class OnnxGraph:
     Raises
     ------
     GraphContractError
-        If names, element types or fixed dimensions differ.
+        If names, element types or dimensions differ, or a dynamic dimension is fixed.
     """
 
     def __init__(self, session: ort.InferenceSession, contract: GraphContract) -> None:
         self._session = session
+        self._name = contract.file_name
         self._outputs = [tensor.name for tensor in contract.outputs]
         for expected, got in (
             (contract.inputs, session.get_inputs()),
@@ -80,8 +89,19 @@ class OnnxGraph:
             _check_tensors(contract, expected, got)
 
     def __call__(self, **inputs: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-        """Run the graph."""
-        return dict(zip(self._outputs, self._session.run(self._outputs, inputs)))
+        """Run the graph.
+
+        Raises
+        ------
+        ModelError
+            If ONNX Runtime cannot run it on these inputs.
+        """
+        try:
+            with _denormals_as_zero():
+                return dict(zip(self._outputs, self._session.run(self._outputs, inputs)))
+        except Exception as error:  # ONNX Runtime's exceptions share no base class
+            shapes = ", ".join(f"{k} {v.dtype}{list(v.shape)}" for k, v in inputs.items())
+            raise ModelError(f"{self._name}: cannot be run on {shapes}: {error}") from error
 
 
 def open_graph(
@@ -104,6 +124,8 @@ def open_graph(
 
     Raises
     ------
+    InvalidInputError
+        If ``threads`` is less than 1.
     ProviderError
         If the first provider is not installed or did not take the graph.
     ModelError
@@ -119,15 +141,18 @@ def open_graph(
             f"provider {providers[0]} is not installed; this onnxruntime has "
             f"{', '.join(installed)}. Install the matching onnxruntime build or choose one of them"
         )
+    if threads is not None and threads < 1:
+        raise InvalidInputError(f"threads: expected 1 or more, got {threads}")
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads or available_cpus()
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
-    # A denormal costs up to 30 times a normal number and carries nothing a picture shows.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     path = folder / contract.file_name
     try:
-        session = ort.InferenceSession(str(path), options, providers=list(providers))
+        session = _open_apart(
+            lambda: ort.InferenceSession(str(path), options, providers=list(providers))
+        )
     except Exception as error:  # ONNX Runtime's exceptions share no base class
         raise ModelError(f"{path}: ONNX Runtime cannot load the graph: {error}") from error
     if session.get_providers()[0] != providers[0]:
@@ -138,6 +163,63 @@ def open_graph(
     return OnnxGraph(session, contract)
 
 
+# A denormal costs up to 30 times a normal number and carries nothing a picture shows. ONNX Runtime
+# turns them to zero in its own threads, and in the thread that opens the process's first session,
+# where it leaves the processor in that mode: Python's and numpy's floats would lose their denormals
+# too. So sessions are opened in a thread of their own, and the mode found there is lent to the
+# calling thread for the span of a run.
+_FENV_BYTES: Final = 256  # more than any platform's fenv_t
+_flushing_mode: bytes | None = None
+
+
+def _open_apart(make: Callable[[], ort.InferenceSession]) -> ort.InferenceSession:
+    """Open a session in a short-lived thread and remember the floating-point mode it leaves."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    def opened() -> ort.InferenceSession:
+        global _flushing_mode  # noqa: PLW0603 - a fact about the process, as ONNX Runtime's is
+        session = make()
+        _flushing_mode = _flushing_mode or _float_mode()
+        return session
+
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(opened).result()
+
+
+@contextmanager
+def _denormals_as_zero() -> Iterator[None]:
+    """Lend the calling thread the mode of the thread that opened the first session."""
+    c_library, before = _c_library(), _float_mode()
+    if c_library is None or before is None or _flushing_mode is None:
+        yield
+        return
+    c_library.fesetenv(_flushing_mode)
+    try:
+        yield
+    finally:
+        c_library.fesetenv(before)
+
+
+def _float_mode() -> bytes | None:
+    """The thread's ``fenv_t``; None where the platform cannot tell."""
+    c_library = _c_library()
+    if c_library is None:
+        return None
+    buffer = ctypes.create_string_buffer(_FENV_BYTES)
+    c_library.fegetenv(buffer)
+    return buffer.raw
+
+
+@cache
+def _c_library() -> ctypes.CDLL | None:
+    """The C library, where it has C99's floating-point environment."""
+    try:
+        library = ctypes.CDLL(None)
+        return library if library.fegetenv and library.fesetenv else None
+    except (AttributeError, OSError, TypeError):
+        return None
+
+
 def _check_tensors(contract: GraphContract, expected: Sequence[Any], got: Sequence[Any]) -> None:
     names, present = [t.name for t in expected], [t.name for t in got]
     if names != present:
@@ -145,11 +227,11 @@ def _check_tensors(contract: GraphContract, expected: Sequence[Any], got: Sequen
             f"{contract.file_name}: expected tensors {names}, got {present}; export the model again"
         )
     for want, have in zip(expected, got):
-        fixed = [(a, b) for a, b in zip(want.shape, have.shape) if isinstance(a, int)]
         if (
             have.type != _DTYPES[want.dtype]
             or len(have.shape) != len(want.shape)
-            or any(isinstance(b, int) and a != b for a, b in fixed)
+            # A number where a name should be is a size that was baked in while tracing.
+            or any(isinstance(b, int) and a != b for a, b in zip(want.shape, have.shape))
         ):
             raise GraphContractError(
                 f"{contract.file_name}: {want.name} should be {want.dtype} {want.shape}, is "

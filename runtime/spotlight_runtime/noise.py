@@ -14,10 +14,27 @@ import numpy.typing as npt
 
 from spotlight_runtime.errors import InvalidInputError
 
-__all__ = ["MAX_SEED", "gaussian"]
+__all__ = ["MAX_SEED", "checked_seed", "gaussian"]
 
 MAX_SEED: Final = 2**63 - 1
 _STREAMS: Final = {"initial": 0, "posterior": 1, "step": 2}
+
+
+def checked_seed(seed: int) -> int:
+    """The seed as Python's own integer.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is no whole number from 0 to 2⁶³ − 1.
+    """
+    if (
+        isinstance(seed, bool)
+        or not isinstance(seed, int | np.integer)
+        or not 0 <= seed <= MAX_SEED
+    ):
+        raise InvalidInputError(f"seed: expected a whole number from 0 to 2**63 - 1, got {seed!r}")
+    return int(seed)
 
 
 def gaussian(
@@ -44,12 +61,6 @@ def gaussian(
     ndarray of float32
         Samples of N(0, 1).
     """
-    if (
-        isinstance(seed, bool)
-        or not isinstance(seed, int | np.integer)
-        or not 0 <= seed <= MAX_SEED
-    ):
-        raise InvalidInputError(f"seed: expected a whole number from 0 to 2**63 - 1, got {seed!r}")
     # A spawn key, unlike a longer list of entropy, is kept apart from the words of a large seed.
-    entropy = np.random.SeedSequence(int(seed), spawn_key=(_STREAMS[stream], index))
+    entropy = np.random.SeedSequence(checked_seed(seed), spawn_key=(_STREAMS[stream], index))
     return np.random.default_rng(entropy).standard_normal(shape, dtype=np.float32)

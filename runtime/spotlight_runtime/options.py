@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.noise import checked_seed
 from spotlight_runtime.sampler import Fidelity
 from spotlight_runtime.solvers import SOLVERS, SolverName
 from spotlight_spec import BackboneSpec
@@ -74,6 +75,9 @@ class RelightOptions:
                 raise InvalidInputError(
                     f"{name}: expected a number from 0 to {high:g}, got {value!r}"
                 )
+        object.__setattr__(self, "seed", checked_seed(self.seed))  # a numpy integer is no JSON
+        if self.steps is not None and (type(self.steps) is not int or self.steps < 1):
+            raise InvalidInputError(f"steps: expected a whole number from 1, got {self.steps!r}")
         if self.fidelity not in ("paper", "release"):
             raise InvalidInputError(
                 f"fidelity: expected 'paper' or 'release', got {self.fidelity!r}"
@@ -84,5 +88,15 @@ class RelightOptions:
             )
 
     def steps_for(self, spec: BackboneSpec) -> int:
-        """Number of denoising steps with this backbone."""
-        return spec.schedule.steps if self.steps is None else self.steps
+        """Number of denoising steps with this backbone.
+
+        Raises
+        ------
+        InvalidInputError
+            If the backbone was trained on fewer.
+        """
+        steps = spec.schedule.steps if self.steps is None else self.steps
+        most = spec.schedule.num_train_timesteps
+        if steps > most:
+            raise InvalidInputError(f"steps: expected a whole number from 1 to {most}, got {steps}")
+        return steps

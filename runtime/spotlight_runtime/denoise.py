@@ -70,4 +70,5 @@ def _without_torch() -> Iterator[None]:
     try:
         yield
     finally:
-        del sys.modules["torch"]
+        if sys.modules.get("torch", sys) is None:  # another thread may have come first
+            sys.modules.pop("torch", None)

@@ -83,7 +83,7 @@ def resolve_model(model: str | Path) -> ModelFolder:
         If the folder's manifest is malformed.
     """
     folder = Path(model)
-    if (folder / MANIFEST_NAME).is_file():
+    if os.path.isfile(folder / MANIFEST_NAME):  # unlike Path.is_file, False for impossible names
         try:
             return ModelFolder(folder, Manifest.read(folder))
         except RecordError as error:
@@ -131,12 +131,14 @@ class LazyNetworks(Mapping[str, Network]):
         self._open: dict[str, Network] = {}
 
     def __getitem__(self, name: str) -> Network:
-        if name not in self._open:
+        network = self._open.get(name)
+        if network is None:
             contract = self._model.manifest.graph(name)
-            self._open[name] = open_graph(
+            network = open_graph(
                 self._model.path, contract, providers=self._providers, threads=self._threads
             )
-        return self._open[name]
+            self._open[name] = network
+        return network  # not looked up again: another thread may have released it meanwhile
 
     def __iter__(self) -> Iterator[str]:
         return (contract.name for contract in self._model.manifest.graphs)

@@ -173,5 +173,6 @@ def _run_with_progress(
 
 def _read_shadow(path: Path) -> FloatArray:
     pixels = read_image(path)
-    grey = pixels if pixels.ndim == 2 else luma(pixels[..., :3])
-    return np.clip(grey, 0.0, 1.0)
+    if pixels.ndim == 3:
+        pixels = luma(pixels[..., :3]) if pixels.shape[2] >= 3 else pixels[..., 0]
+    return np.clip(pixels, 0.0, 1.0)

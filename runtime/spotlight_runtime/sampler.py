@@ -176,7 +176,12 @@ def shadow_guided(
     ------
     Step
     """
-    branches = inputs.conditioning.shape[0]
+    branches, blends = inputs.conditioning.shape[0], len(solver.schedule) - 1
+    if beta > 0.0 and len(inputs.step_noise) not in (1, blends) and blends > 0:
+        raise ShapeError(
+            f"step_noise: expected 1 or {blends} arrays for {blends + 1} steps, "
+            f"got {len(inputs.step_noise)}"
+        )
     latents = np.repeat(inputs.initial_noise, branches, axis=0)
 
     def combine(v: FloatArray) -> FloatArray:

@@ -45,23 +45,28 @@ class Backbone:
         return self.vae.config.scaling_factor
 
     @torch.no_grad()
-    def predict(self, z_t: Tensor, t: int, conditioning: Tensor) -> Tensor:
-        """The v-prediction of one branch: (4, h, w) latents, (C, H, W) conditioning."""
+    def evaluate(self, z_t: Tensor, t: int, conditioning: Tensor) -> Tensor:
+        """The v-predictions of a batch: (n, 4, h, w) latents, (n, C, H, W) conditioning."""
+        prompt = self.prompt.expand(len(z_t), -1, -1)
         down, middle = self.controlnet(
-            z_t[None],
+            z_t,
             t,
-            encoder_hidden_states=self.prompt,
-            controlnet_cond=conditioning[None],
+            encoder_hidden_states=prompt,
+            controlnet_cond=conditioning,
             return_dict=False,
         )
         return self.unet(
-            z_t[None],
+            z_t,
             t,
-            encoder_hidden_states=self.prompt,
+            encoder_hidden_states=prompt,
             down_block_additional_residuals=down,
             mid_block_additional_residual=middle,
             return_dict=False,
-        )[0][0]
+        )[0]
+
+    def predict(self, z_t: Tensor, t: int, conditioning: Tensor) -> Tensor:
+        """The v-prediction of one branch: (4, h, w) latents, (C, H, W) conditioning."""
+        return self.evaluate(z_t[None], t, conditioning[None])[0]
 
     @torch.no_grad()
     def posterior(self, image: Tensor) -> tuple[Tensor, Tensor]:

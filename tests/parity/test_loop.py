@@ -23,7 +23,7 @@ CASES = [
     *(("torch", *point) for point in DIAGONAL),
     *(("float64", *point) for point in DIAGONAL),
 ]
-SINGLE = Tolerance(relative=2e-5, absolute=1e-4)
+SINGLE = Tolerance(relative=1e-5, absolute=5e-5)
 TOLERANCE = {
     "onnx": SINGLE,
     "torch": SINGLE,

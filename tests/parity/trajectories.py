@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import torch
 from diffusers import DDIMScheduler
-from oracle.loop import Branch, Draws, Knobs, spotlight
+from oracle.loop import Branch, Draws, Fidelity, Knobs, spotlight
 from oracle.networks import Backbone
 from oracle.schedule import scaled_linear_alpha_bar, trailing_timesteps, zero_terminal_snr
 
@@ -56,13 +56,14 @@ class Trajectories:
         self._m_obj = object_on_latents(spec, scene)
         self.oracle = cache(self._oracle)
         self.runtime = cache(self._runtime)
+        self._branches = cache(self._make_branches)
 
     def _oracle(self, run: Run) -> list[np.ndarray]:
         """Float64 throughout."""
         alpha_bar = zero_terminal_snr(scaled_linear_alpha_bar())
         history = spotlight(
             self._backbone64.predict,
-            *self._branches(run),
+            *self._branches(run.negative, run.knobs.fidelity),
             self._m_obj,
             self._draws,
             trailing_timesteps(STEPS),
@@ -75,7 +76,7 @@ class Trajectories:
     def _runtime(self, networks: str, run: Run) -> list[np.ndarray]:
         """`Relighter.trajectory`, the documented replay."""
         inputs = loop_inputs(
-            self._branches(run),
+            self._branches(run.negative, run.knobs.fidelity),
             self._m_obj,
             self._draws.initial,
             self._draws.blends if run.knobs.fidelity == "release" else [self._draws.initial],
@@ -104,15 +105,15 @@ class Trajectories:
             clip_sample=False,
         )
         scheduler.set_timesteps(STEPS)
-        branches = self._branches(run)
+        branches = self._branches(run.negative, run.knobs.fidelity)
         composite = torch.stack([branch.composite_latents for branch in branches]).float()
         weight = run.knobs.beta * torch.stack([branch.shadow_mask for branch in branches]).float()
-        conditions = [branch.conditioning.float() for branch in branches]
+        conditioning = torch.stack([branch.conditioning for branch in branches]).float()
         release = run.knobs.fidelity == "release"
         m, z = self._m_obj.float(), torch.stack([self._draws.initial] * 2).float()
         history = []
         for i, t in enumerate(scheduler.timesteps):
-            v_pos, v_neg = (self._backbone32.predict(z[k], int(t), conditions[k]) for k in (0, 1))
+            v_pos, v_neg = self._backbone32.evaluate(z, int(t), conditioning)
             v = (1.0 - m) * v_pos + m * (v_neg + run.knobs.gamma * (v_pos - v_neg))
             z = scheduler.step(v[None], t, z).prev_sample
             if i < STEPS - 1:
@@ -123,14 +124,12 @@ class Trajectories:
             history.append(z.numpy())
         return history
 
-    def _branches(self, run: Run) -> tuple[Branch, Branch]:
+    def _make_branches(self, negative: Negative, fidelity: Fidelity) -> tuple[Branch, Branch]:
         """Positive and negative; the release samples the posterior, the paper takes its mean."""
-        shadows = (wanted_shadow(self._scene), NEGATIVES[run.negative](self._scene))
-        sampled = run.knobs.fidelity == "release"
-        positive, negative = (
-            oracle_branch(
-                self._backbone64, self._spec, self._scene, shadow, epsilon if sampled else None
-            )
-            for shadow, epsilon in zip(shadows, self._posterior)
+        shadows = (wanted_shadow(self._scene), NEGATIVES[negative](self._scene))
+        noise = self._posterior if fidelity == "release" else [None, None]
+        positive, opposite = (
+            oracle_branch(self._backbone64, self._spec, self._scene, shadow, epsilon)
+            for shadow, epsilon in zip(shadows, noise)
         )
-        return positive, negative
+        return positive, opposite

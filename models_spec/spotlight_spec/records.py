@@ -49,7 +49,7 @@ def decode(kind: type[T], value: Any, where: str = "$") -> T:
     RecordError
         If a key is unknown or missing, or a value has the wrong type or is not finite.
     """
-    return _decode(kind, value, where)  # type: ignore[no-any-return]
+    return _decode(kind, value, where)
 
 
 def read_json(path: Path) -> Any:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import encode_linear
 from spotlight_runtime.errors import NumericalError
 from spotlight_runtime.sessions import Network
 from spotlight_spec import BackboneSpec
@@ -18,7 +17,7 @@ __all__ = ["decode_latents", "encode_conditioning", "encode_image"]
 def encode_image(
     networks: Mapping[str, Network],
     spec: BackboneSpec,
-    linear: FloatArray,
+    encoded: FloatArray,
     posterior_noise: FloatArray | None = None,
 ) -> FloatArray:
     """Scaled latents ``E(image)·s`` of an image.
@@ -27,8 +26,8 @@ def encode_image(
     ----------
     networks : mapping of str to Network
     spec : BackboneSpec
-    linear : ndarray of float32, shape (H, W, 3)
-        Linear radiance; encoded and clipped to [0, 1] here.
+    encoded : ndarray of float32, shape (H, W, 3)
+        In [0, 1], encoded as the backbone's images are.
     posterior_noise : ndarray of float32, shape (1, C, h, w), optional
         Sample the posterior with it; without it, take the mean.
 
@@ -36,12 +35,12 @@ def encode_image(
     -------
     ndarray of float32, shape (1, C, h, w)
     """
-    encoded = np.clip(encode_linear(linear, spec.image_encoding), 0.0, 1.0)
     pixels = (np.float32(2.0) * encoded - np.float32(1.0)).transpose(2, 0, 1)[None]
     posterior = networks["vae_encoder"](image=np.ascontiguousarray(pixels))
     z = posterior["latent_mean"]
     if posterior_noise is not None:
-        z = z + posterior["latent_std"] * posterior_noise
+        with np.errstate(over="ignore", invalid="ignore"):
+            z = z + posterior["latent_std"] * posterior_noise
     _require_finite(z, "encoding the rough composite")
     return z * np.float32(spec.latent.scaling_factor)
 
@@ -62,7 +61,9 @@ def decode_latents(
     networks: Mapping[str, Network], spec: BackboneSpec, latents: FloatArray
 ) -> FloatArray:
     """``D(z/s)`` of latents of shape (1, C, h, w): encoded image (H, W, 3), clipped to [0, 1]."""
-    z = latents / np.float32(spec.latent.scaling_factor)
+    with np.errstate(over="ignore"):
+        z = latents / np.float32(spec.latent.scaling_factor)
+    _require_finite(z, "unscaling the latents")
     image = networks["vae_decoder"](latents=z)["image"][0]
     _require_finite(image, "decoding the latents")
     pixels = np.clip(image * np.float32(0.5) + np.float32(0.5), 0.0, 1.0)

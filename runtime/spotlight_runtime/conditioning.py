@@ -225,13 +225,18 @@ def stack_maps(
     return np.ascontiguousarray(np.concatenate(planes), dtype=np.float32)
 
 
-def rough_composite(scene: Scene, guiding_shadow: FloatArray, opacity: float = 1.0) -> FloatArray:
+def rough_composite(
+    spec: BackboneSpec, scene: Scene, guiding_shadow: FloatArray, opacity: float = 1.0
+) -> FloatArray:
     """g: the object's albedo over the background darkened by the guiding shadow (paper §3.2).
 
-    Composited in linear light, where a shadow is a factor.
+    Made of encoded pixels, as the public release does: the background is encoded and then
+    darkened, the albedo enters as the map it is.
 
     Parameters
     ----------
+    spec : BackboneSpec
+        Names the encoding.
     scene : Scene
     guiding_shadow : ndarray of float32, shape (H, W)
     opacity : float
@@ -240,10 +245,12 @@ def rough_composite(scene: Scene, guiding_shadow: FloatArray, opacity: float = 1
     Returns
     -------
     ndarray of float32, shape (H, W, 3)
-        Linear radiance.
+        Encoded image in [0, 1].
     """
     lit = np.float32(1.0) - np.float32(opacity) * guiding_shadow
-    return over(scene.object_maps.albedo, scene.object_mask, scene.background * lit[..., None])
+    background = np.clip(encode_linear(scene.background, spec.image_encoding), 0.0, 1.0)
+    g = over(scene.object_maps.albedo, scene.object_mask, background * lit[..., None])
+    return np.clip(g, 0.0, 1.0)
 
 
 def _map(maps: Intrinsics, name: str, owner: str) -> FloatArray:

@@ -39,10 +39,11 @@ def masked_guidance(
 def rescale_guidance(
     guided: FloatArray, v_pos: FloatArray, mask: FloatArray, phi: float
 ) -> FloatArray:
-    """Pull the guided prediction's deviation inside the mask back to the positive branch's.
+    """Pull the guided prediction's deviation on the object back to the positive branch's.
 
-    Lin et al. 2023, eq. 15–16, restricted to the object: deviations are weighted by the mask. An
-    empty mask or a constant prediction has no deviation to restore and is returned unchanged.
+    Lin et al. 2023, eq. 15–16, with both deviations taken over the object (mask > 0.5) only. An
+    object too small to have one there, or a constant prediction, leaves nothing to restore: the
+    prediction is returned unchanged.
 
     Parameters
     ----------
@@ -56,19 +57,10 @@ def rescale_guidance(
     -------
     ndarray of float32, shape (1, C, h, w)
     """
-    if phi == 0.0:
+    inside = np.broadcast_to(mask > 0.5, guided.shape)
+    if phi == 0.0 or not inside.any():
         return guided
-    target, present = _masked_deviation(v_pos, mask), _masked_deviation(guided, mask)
+    target, present = (float(v[inside].std(dtype=np.float64)) for v in (v_pos, guided))
     if target == 0.0 or present == 0.0:
         return guided
-    return guided * (1.0 + mask * (phi * (target / present - 1.0)))
-
-
-def _masked_deviation(v: FloatArray, mask: FloatArray) -> float:
-    """Weighted standard deviation over all elements, in float64; 0 for an empty mask."""
-    weight = np.broadcast_to(mask, v.shape).astype(np.float64)
-    total = float(weight.sum())
-    if total == 0.0:
-        return 0.0
-    mean = float((weight * v).sum()) / total
-    return float(np.sqrt((weight * (v - mean) ** 2).sum() / total))
+    return guided * (1.0 + phi * (target / present - 1.0))

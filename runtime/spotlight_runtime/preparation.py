@@ -95,7 +95,7 @@ def loop_inputs(
 
     def encode(branch: int, shadow: FloatArray) -> FloatArray:
         sampled = gaussian(options.seed, "posterior", (1, *shape), branch) if release else None
-        composite = rough_composite(scene, shadow, options.shadow_opacity)
+        composite = rough_composite(spec, scene, shadow, options.shadow_opacity)
         return encode_image(networks, spec, composite, sampled)
 
     def mask(shadow: FloatArray) -> FloatArray:

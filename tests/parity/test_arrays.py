@@ -71,9 +71,6 @@ def test_guidance_mask(actual: LoopInputs, spec: BackboneSpec, scene: Scene) -> 
     np.testing.assert_allclose(actual.guidance_mask[0], m_obj, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.xfail(
-    reason="the runtime composes g in linear light, the release on encoded pixels", strict=True
-)
 def test_composite_latents(actual: LoopInputs, expected: list[Branch]) -> None:
     composites = torch.stack([branch.composite_latents for branch in expected])
     assert_within(Tolerance(1e-5, 1e-5), actual.composite_latents, composites)

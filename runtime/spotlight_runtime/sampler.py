@@ -132,12 +132,13 @@ def sample(
     last = len(solver.schedule) - 1
     for index, timestep in enumerate(solver.schedule.timesteps.tolist()):
         v = predict(latents, timestep)
-        if combine is not None:
-            v = combine(v)
-        _require_finite(v, "the network's prediction", index, timestep)
-        latents, denoised = solver.step(index, latents, v)
-        if blend is not None and index < last:
-            latents = blend(index, latents)
+        with np.errstate(over="ignore", invalid="ignore"):  # an error below, not a warning first
+            if combine is not None:
+                v = combine(v)
+            _require_finite(v, "the network's prediction", index, timestep)
+            latents, denoised = solver.step(index, latents, v)
+            if blend is not None and index < last:
+                latents = blend(index, latents)
         _require_finite(latents, "the latents", index, timestep)
         yield Step(index, timestep, latents, denoised)
 

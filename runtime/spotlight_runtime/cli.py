@@ -16,7 +16,7 @@ from rich.table import Table
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import luma
 from spotlight_runtime.errors import SpotLightError
-from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.images import check_target, read_image, write_image
 from spotlight_runtime.models import find_models
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.relighter import Relighter
@@ -93,6 +93,7 @@ def relight(
         denoise=denoise,
         batch_branches=not low_memory,
     )
+    check_target(output)  # now, not after the minutes a relight takes
     loaded = Scene.load(scene)
     positive = _read_shadow(shadow)
     opposite = None if negative == "none" else _read_shadow(Path(negative))
@@ -103,7 +104,7 @@ def relight(
     if report is not None:
         write_json(report, facts)
     total = sum(result.timings.values())
-    Console(stderr=True).print(f"{output}: {result.evaluations} evaluations, {total:.1f} s")
+    print(f"{output}: {result.evaluations} evaluations, {total:.1f} s", file=sys.stderr)
 
 
 @app.command()
@@ -135,11 +136,11 @@ def models(
 
 
 def main() -> None:
-    """Entry point: errors of the package are one line on stderr and exit code 1."""
+    """Entry point: errors of package and files are one line on stderr and exit code 1."""
     try:
         app()
-    except SpotLightError as error:
-        print(f"spotlight: {error}", file=sys.stderr)
+    except (SpotLightError, OSError) as error:
+        print("spotlight:", " ".join(str(error).split()), file=sys.stderr)
         sys.exit(1)
 
 

@@ -28,7 +28,14 @@ from spotlight_runtime.errors import (
     ShapeError,
 )
 
-__all__ = ["encode_png", "read_exr_layers", "read_image", "write_exr_layers", "write_image"]
+__all__ = [
+    "check_target",
+    "encode_png",
+    "read_exr_layers",
+    "read_image",
+    "write_exr_layers",
+    "write_image",
+]
 
 
 _JPEG: Final = {".jpg", ".jpeg"}
@@ -123,11 +130,8 @@ def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: 
         If the file cannot be written.
     """
     path = Path(path)
+    check_target(path)
     suffix = path.suffix.lower()
-    if suffix not in _READABLE:
-        raise InvalidInputError(
-            f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {suffix!r}"
-        )
     if suffix == ".exr":
         write_exr_layers(path, {"": image})
         return
@@ -141,6 +145,25 @@ def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: 
         pixels = _swap_red_blue(_quantise(image, 8, path))
         data = _encode(suffix, pixels, [int(key), quality], path)
     _write_atomically(path, data)
+
+
+def check_target(path: Path) -> None:
+    """Raise what `write_image` would of this name, before there is an image.
+
+    Raises
+    ------
+    InvalidInputError
+        If no image format goes by this suffix.
+    ImageFileError
+        If its folder does not exist.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _READABLE:
+        raise InvalidInputError(
+            f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {suffix!r}"
+        )
+    if not os.path.isdir(path.parent):
+        raise ImageFileError(f"{path}: cannot be written: there is no folder {path.parent}")
 
 
 def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:

@@ -9,6 +9,7 @@ from spotlight_runtime.errors import NumericalError
 
 SPEC = tiny_spec()
 SCALE = np.float32(SPEC.latent.scaling_factor)
+ZEROS = np.zeros((1, 4, 2, 3), np.float32)
 
 
 def encoder(mean, std=0.0, seen=None):
@@ -83,8 +84,16 @@ def test_what_is_not_finite_names_the_stage(bad):
         encode_image(encoder(bad), SPEC, np.zeros((16, 24, 3), np.float32))
     spoiled = np.full((1, 3, 16, 24), bad, np.float32)
     with pytest.raises(NumericalError, match="decoding the latents"):
-        decode_latents({"vae_decoder": lambda latents: {"image": spoiled}}, SPEC, spoiled)
+        decode_latents({"vae_decoder": lambda latents: {"image": spoiled}}, SPEC, ZEROS)
     with pytest.raises(NumericalError, match="encoding the conditioning"):
         encode_conditioning(
             {"condition_encoder": lambda conditioning: {"condition": spoiled}}, spoiled
         )
+
+
+@pytest.mark.parametrize("latent", [3e38, np.inf, np.nan])
+def test_latents_that_overflow_when_unscaled_never_reach_the_decoder(latent):
+    """A decoder that saturates would make a finite picture of them."""
+    networks = {"vae_decoder": lambda latents: {"image": np.tanh(latents[:, :3])}}
+    with pytest.raises(NumericalError, match="unscaling the latents"):
+        decode_latents(networks, SPEC, np.full_like(ZEROS, latent))

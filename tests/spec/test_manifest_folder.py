@@ -165,3 +165,10 @@ def test_graph_by_name(folder):
 def test_sha256_of_a_known_text(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
     assert sha256_of(tmp_path / "abc").startswith("ba7816bf8f01cfea414140de5dae2223")
+
+
+def test_failed_write_leaves_no_part_behind(tmp_path):
+    (tmp_path / "report.json").mkdir()
+    with pytest.raises(OSError, match="report"):
+        write_json(tmp_path / "report.json", {})
+    assert [p.name for p in tmp_path.iterdir()] == ["report.json"]

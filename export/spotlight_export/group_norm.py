@@ -36,7 +36,9 @@ def _lower(graph: ir.Graph, node: ir.Node) -> None:
     scaled = ir.node("Mul", [restored.outputs[0], _per_channel(graph, scale, trailing)])
     shifted = ir.node("Add", [scaled.outputs[0], _per_channel(graph, bias, trailing)])
     graph.insert_before(node, [shape, grouped, normalised, restored, scaled, shifted])
-    ir.convenience.replace_all_uses_with(node.outputs[0], shifted.outputs[0])
+    before, after = node.outputs[0], shifted.outputs[0]
+    after.type, after.shape = before.type, before.shape
+    ir.convenience.replace_all_uses_with(before, after, replace_graph_outputs=True)
     graph.remove(node, safe=True)
 
 

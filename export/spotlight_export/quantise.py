@@ -95,11 +95,7 @@ def quantise_graph(source: Path, target: Path, ranges: dict[str, Range]) -> int:
         node.replace_input_with(0, activation)
     for layer in layers:
         if layer.node.op_type == "Conv":
-            result = layer.node.outputs[0]
-            quantise, activation, _ = pairs[_name(result)]
-            for user, index in list(result.uses()):
-                if user is not quantise:
-                    user.replace_input_with(index, activation)
+            _use_quantised(graph, layer.node.outputs[0], *pairs[_name(layer.node.outputs[0])][:2])
     for value in list(graph.initializers.values()):
         if not value.uses():
             del graph.initializers[_name(value)]
@@ -182,6 +178,20 @@ def _add_pair(
     else:
         graph.insert_before(graph[0], [quantise, dequantise])
     return quantise, dequantise.outputs[0], float(scale)
+
+
+def _use_quantised(
+    graph: ir.Graph, result: ir.Value, quantise: ir.Node, dequantised: ir.Value
+) -> None:
+    """Let everybody but ``quantise`` read the round-tripped result, the graph's caller included."""
+    for user, index in list(result.uses()):
+        if user is not quantise:
+            user.replace_input_with(index, dequantised)
+    for index, output in enumerate(graph.outputs):
+        if output is result:
+            dequantised.type, dequantised.shape = result.type, result.shape
+            graph.outputs[index] = dequantised
+            result.name, dequantised.name = f"{result.name}.exact", result.name
 
 
 def _quantise_weight(graph: ir.Graph, layer: _Layer) -> npt.NDArray[np.float32]:

@@ -17,7 +17,7 @@ from torch.export import Dim
 from spotlight_export.errors import TraceError
 from spotlight_export.group_norm import lower_group_norms
 from spotlight_export.quiet import quiet_libraries
-from spotlight_spec import GraphContract
+from spotlight_spec import GraphContract, TensorSpec
 
 __all__ = ["OPSET", "save_graph", "trace"]
 
@@ -176,7 +176,7 @@ def _apply_contract(model: ir.Model, contract: GraphContract) -> None:
                 "contract disagree"
             )
         for value, tensor in zip(values, tensors):
-            _check_static_dimensions(contract.name, value, tensor.shape)
+            _check_dimensions(contract.name, value, tensor)
             value.name = tensor.name
             value.shape = ir.Shape(tensor.shape)
             value.type = ir.TensorType(
@@ -185,15 +185,15 @@ def _apply_contract(model: ir.Model, contract: GraphContract) -> None:
     passes.NameFixPass()(model)
 
 
-def _check_static_dimensions(graph: str, value: ir.Value, shape: tuple[int | str, ...]) -> None:
+def _check_dimensions(graph: str, value: ir.Value, tensor: TensorSpec) -> None:
     """A dynamic dimension that came out as a number was baked in by the trace."""
-    traced = [size if isinstance(size, int) else None for size in value.shape]
-    for axis, (size, wanted) in enumerate(zip(traced, shape, strict=True)):
-        if size != (wanted if isinstance(wanted, int) else None):
+    for axis, (size, wanted) in enumerate(zip(value.shape, tensor.shape, strict=True)):
+        traced = size if isinstance(size, int) else None
+        if traced != (wanted if isinstance(wanted, int) else None):
             raise TraceError(
-                f"{graph}: dimension {axis} of {value.name!r} was traced as {size or 'dynamic'}, "
-                f"the contract says {wanted!r}; the checkpoint's channels differ from the "
-                "backbone's, or torch specialised the dimension"
+                f"{graph}: dimension {axis} of {tensor.name!r} was traced as "
+                f"{traced or 'dynamic'}, the contract says {wanted!r}; the checkpoint's channels "
+                "differ from the backbone's, or torch specialised the dimension"
             )
 
 

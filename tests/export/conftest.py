@@ -57,3 +57,9 @@ def half(fused: Path, models: Path) -> Path:
 def int8(fused: Path, models: Path) -> Path:
     convert_model(fused, models / "int8", "int8")
     return models / "int8"
+
+
+@pytest.fixture(scope="session")
+def split_int8(split: Path, models: Path) -> Path:
+    convert_model(split, models / "split-int8", "int8")
+    return models / "split-int8"

@@ -20,7 +20,7 @@ def _small_cases(monkeypatch):
     monkeypatch.setattr(verify, "LOOP_SIZES", {False: ((9, 8),)})
 
 
-@pytest.mark.parametrize("model", ["fused", "split", "half", "int8"])
+@pytest.mark.parametrize("model", ["fused", "split", "half", "int8", "split_int8"])
 def test_a_fresh_model_is_within_tolerance_and_says_so(model, request, tmp_path):
     folder = tmp_path / model
     shutil.copytree(request.getfixturevalue(model), folder)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import platform
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -166,57 +168,49 @@ def open_graph(
 # A denormal costs up to 30 times a normal number and carries nothing a picture shows. ONNX Runtime
 # turns them to zero in its own threads, and in the thread that opens the process's first session,
 # where it leaves the processor in that mode: Python's and numpy's floats would lose their denormals
-# too. So sessions are opened in a thread of their own, and the mode found there is lent to the
-# calling thread for the span of a run.
-_FENV_BYTES: Final = 256  # more than any platform's fenv_t
-_flushing_mode: bytes | None = None
+# too. So sessions are opened in a thread of their own, and the calling thread, which does its share
+# of the work, is put into that mode for the span of a run only.
+_FENV_BYTES: Final = 256  # more than any fenv_t
+_FLUSH_BITS: Final = {"x86_64": (28, 0x8040), "aarch64": (0, 1 << 24)}
+"""Where in Linux's fenv_t the control word lies, and its bits (MXCSR's FTZ and DAZ; FPCR's FZ)."""
 
 
 def _open_apart(make: Callable[[], ort.InferenceSession]) -> ort.InferenceSession:
-    """Open a session in a short-lived thread and remember the floating-point mode it leaves."""
+    """Open a session in a short-lived thread, which keeps the mode it is left in to itself."""
     from concurrent.futures import ThreadPoolExecutor
 
-    def opened() -> ort.InferenceSession:
-        global _flushing_mode  # noqa: PLW0603 - a fact about the process, as ONNX Runtime's is
-        session = make()
-        _flushing_mode = _flushing_mode or _float_mode()
-        return session
-
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(opened).result()
+        return pool.submit(make).result()
 
 
 @contextmanager
 def _denormals_as_zero() -> Iterator[None]:
-    """Lend the calling thread the mode of the thread that opened the first session."""
-    c_library, before = _c_library(), _float_mode()
-    if c_library is None or before is None or _flushing_mode is None:
+    """Flush denormals in this thread until the block ends."""
+    c_library = _c_library()
+    if c_library is None:
         yield
         return
-    c_library.fesetenv(_flushing_mode)
+    before = ctypes.create_string_buffer(_FENV_BYTES)
+    c_library.fegetenv(before)
+    offset, bits = _FLUSH_BITS[platform.machine()]
+    flushing = ctypes.create_string_buffer(before.raw)
+    ctypes.c_uint32.from_buffer(flushing, offset).value |= bits
+    c_library.fesetenv(flushing)
     try:
         yield
     finally:
         c_library.fesetenv(before)
 
 
-def _float_mode() -> bytes | None:
-    """The thread's ``fenv_t``; None where the platform cannot tell."""
-    c_library = _c_library()
-    if c_library is None:
-        return None
-    buffer = ctypes.create_string_buffer(_FENV_BYTES)
-    c_library.fegetenv(buffer)
-    return buffer.raw
-
-
 @cache
 def _c_library() -> ctypes.CDLL | None:
-    """The C library, where it has C99's floating-point environment."""
+    """The C library with C99's floating-point environment, where its layout is known."""
+    if sys.platform != "linux" or platform.machine() not in _FLUSH_BITS:
+        return None
     try:
         library = ctypes.CDLL(None)
         return library if library.fegetenv and library.fesetenv else None
-    except (AttributeError, OSError, TypeError):
+    except (AttributeError, OSError):
         return None
 
 

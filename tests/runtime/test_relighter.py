@@ -340,6 +340,31 @@ def test_paper_and_release_draw_what_they_say(relighter, options, scene, shadow,
     assert not np.array_equal(paper.composite_latents, release.composite_latents)
 
 
+def test_released_posterior_is_sampled_for_each_branch(relighter, options, scene, shadow):
+    """Equal shadows encode equally; what differs between the branches is their sample."""
+    inputs = relighter.loop_inputs(scene, shadow, shadow, replace(options, fidelity="release"))
+    assert not np.array_equal(*inputs.composite_latents)
+    inputs = relighter.loop_inputs(scene, shadow, shadow, options)
+    np.testing.assert_array_equal(*inputs.composite_latents)
+
+
+def test_both_passes_start_from_the_same_noise(relighter, options, scene, shadow):
+    started = []
+    denoiser = relighter._networks["denoiser"]
+
+    def noting(latents, timestep, condition):
+        if timestep[0] == 999:
+            started.append(latents)
+        return denoiser(latents=latents, timestep=timestep, condition=condition)
+
+    networks = dict(relighter._networks) | {"denoiser": noting}
+    Relighter(relighter.spec, networks).relight(scene, shadow, options=options)
+    guided, plain = started
+    assert (len(guided), len(plain)) == (2, 1)
+    np.testing.assert_array_equal(guided[0], guided[1])
+    np.testing.assert_array_equal(guided[0], plain[0])
+
+
 def test_report_is_json_with_everything_but_the_pixels(relighter, scene, shadow):
     options = RelightOptions(denoise=False, steps=2, seed=np.int64(7))
     report = json.loads(json.dumps(relighter.relight(scene, shadow, options=options).report()))

@@ -31,10 +31,7 @@ class _Observed:
         model = ir.load(source)
         self._names = tensors_to_observe(model)
         _add_extremes(model.graph, self._names)
-        # Beside the source, so that both use the same external data.
-        path = source.with_name(f"observed-{source.name}")
-        ir.save(model, path)
-        self._network = open_graph(path)
+        self._network = open_graph(source, variant=ir.to_proto(model).SerializeToString())
         self.ranges: dict[str, Range] = {}
 
     def __call__(self, **inputs: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:

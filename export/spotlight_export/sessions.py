@@ -25,14 +25,19 @@ LEVELS: Final = {
     "all": ort.GraphOptimizationLevel.ORT_ENABLE_ALL,
 }
 
+EXTERNAL_DATA_FOLDER: Final = "session.model_external_initializers_file_folder_path"
+"""Session option that says where a graph given as bytes finds its weights."""
 
-def open_graph(path: Path, level: str = "all") -> Network:
+
+def open_graph(path: Path, level: str = "all", variant: bytes | None = None) -> Network:
     """Open a graph file as a network.
 
     Parameters
     ----------
     path : Path
     level : {"disable", "basic", "extended", "all"}
+    variant : bytes, optional
+        A serialised graph to run in place of the file's, with the file's external data.
 
     Raises
     ------
@@ -44,8 +49,9 @@ def open_graph(path: Path, level: str = "all") -> Network:
     # ONNX Runtime would count the host's cores, not those this process may use.
     options.intra_op_num_threads = len(os.sched_getaffinity(0))
     options.log_severity_level = 3
+    options.add_session_config_entry(EXTERNAL_DATA_FOLDER, str(path.parent))
     try:
-        session = ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+        session = ort.InferenceSession(variant or path, options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise VerificationError(
             f"{path}: ONNX Runtime {ort.__version__} refuses this graph at optimisation level "

@@ -12,19 +12,37 @@ import pytest
 
 from spotlight_export.convert import convert_model
 from spotlight_export.errors import ModelFolderError, OutputFolderError, QuantisationError
+from spotlight_export.export import export_backbone
 from spotlight_export.folder import new_model_folder, read_model
 from spotlight_runtime.models import ModelFolder, open_networks
 from spotlight_spec import MANIFEST_NAME, Manifest
 
 
-def test_an_export_leaves_exactly_the_files_its_manifest_names(fused):
-    manifest = Manifest.read(fused)
-    assert {path.name for path in fused.iterdir()} == {
+@pytest.mark.parametrize("model", ["int8", "half", "split", "fused"])  # int8 is made from fused
+def test_an_export_leaves_exactly_the_files_its_manifest_names(model, request):
+    folder = request.getfixturevalue(model)
+    manifest = Manifest.read(folder)
+    assert {path.name for path in folder.iterdir()} == {
         MANIFEST_NAME,
         *(entry.path for entry in manifest.files),
     }
-    assert not manifest.damaged_files(fused)
-    assert not [path for path in fused.parent.iterdir() if "partial" in path.name]
+    assert not manifest.damaged_files(folder)
+    assert not [path for path in folder.parent.iterdir() if "partial" in path.name]
+
+
+def test_a_finetuned_unet_and_int8_in_one_export(checkpoint, tmp_path):
+    manifest = export_backbone(
+        "zerocomp",
+        checkpoint.base,
+        checkpoint.controlnet,
+        tmp_path / "out",
+        unet=checkpoint.base / "unet",
+        precision="int8",
+    )
+    assert manifest.source.unet == str(checkpoint.base / "unet")
+    assert manifest.precision == "int8"
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+    assert not (tmp_path / "out" / "float32").exists()
 
 
 def test_the_runtime_opens_it(fused):

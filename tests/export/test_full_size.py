@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.checkpoints import Checkpoint, write_full_size_checkpoint
+from support.scenes import make_scene, make_shadow
 
 from spotlight_export import cases
 from spotlight_export.checkpoint import open_checkpoint
 from spotlight_export.reference import DenoiserReference
 from spotlight_export.sessions import open_graph
 from spotlight_export.verify import past_tolerance, verify_model
+from spotlight_runtime import read_image, write_image
 from spotlight_spec import Manifest
 
 pytestmark = pytest.mark.full
@@ -102,3 +104,32 @@ def test_one_evaluation_next_to_torch(model, checkpoint, capsys):
         for name, times in seconds.items():
             print(f"\n  {name}: best {min(times):.2f} s, median {np.median(times):.2f} s", end="")
     assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_one_relight_fits_in_eight_gigabytes(model, folder, capsys):
+    """A 512×512 relight by the command people type, end to end: 60 evaluations."""
+    scene = make_scene(512, 512)
+    scene.save(folder / "scene")
+    for side in ("left", "right"):
+        write_image(folder / f"{side}.png", make_shadow(scene, side))
+    command = [
+        *(Path(sys.executable).parent / "spotlight", "relight", "scene", "--model", model[0]),
+        *("--shadow", "left.png", "--negative", "right.png", "-o", "out.png"),
+        *("--report", "report.json", "--no-denoise"),
+    ]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    report = json.loads((folder / "report.json").read_text())
+    seconds = report["seconds"]
+    evaluating = seconds["relight"] + seconds["no shadow"]
+    with capsys.disabled():
+        print(
+            f"\n  relight 512×512: {sum(seconds.values()):.0f} s, of which {report['evaluations']} "
+            f"evaluations at {evaluating / report['evaluations']:.2f} s; peak "
+            f"{report['peak_memory_bytes'] / 1e9:.2f} GB; {seconds}",
+            end="",
+        )
+    assert report["evaluations"] == 60
+    assert report["peak_memory_bytes"] < 8e9
+    image = read_image(folder / "out.png")
+    assert image.shape == (512, 512, 3)
+    assert image[scene.object_mask == 1.0].std() > 0.0

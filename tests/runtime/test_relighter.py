@@ -280,6 +280,29 @@ def test_plain_functions_are_networks(options):
     assert result.report()["model"] == {}
 
 
+@pytest.mark.parametrize("fidelity", ["paper", "release"])
+def test_where_the_background_may_darken(options, fidelity):
+    """Predicted darker everywhere: the paper's mode darkens the region, the release all."""
+    scene = make_scene(64, 96)
+    shadow = np.zeros(scene.size, np.float32)
+    shadow[50:62, 4:16] = 1.0
+    decoded = iter([-0.2, 0.2])
+    zeros = np.zeros((1, 4, 8, 12), np.float32)
+    grey = {
+        "vae_encoder": lambda image: {"latent_mean": zeros, "latent_std": zeros},
+        "condition_encoder": lambda conditioning: {"condition": conditioning[..., ::8, ::8]},
+        "denoiser": lambda latents, timestep, condition: {"prediction": latents},
+        "vae_decoder": lambda latents: {"image": np.full((1, 3, 64, 96), next(decoded), "f4")},
+    }
+    relighter = Relighter(tiny_spec(steps=1), grey)
+    result = relighter.relight(scene, shadow, options=replace(options, fidelity=fidelity))
+    kept = linear_to_srgb(scene.background)
+    darkened = (result.image < kept - 1e-4).all(axis=-1)
+    assert darkened[52:60, 6:14].all()
+    far = far_from((shadow > 0) | (scene.object_mask > 0))
+    assert darkened[far].all() if fidelity == "release" else not darkened[far].any()
+
+
 def test_progress_is_two_passes_and_closing_cancels(relighter, options, scene, shadow):
     steps = [(p.stage, p.step.index, p.steps) for p in relighter.run(scene, shadow, None, options)]
     wanted = [("relight", i, 4) for i in range(4)] + [("no shadow", i, 4) for i in range(4)]

@@ -2,6 +2,7 @@
 
 from spotlight_spec.backbone import BackboneSpec, LatentSpec, MapSpec, ScheduleSpec, ShadingSpec
 from spotlight_spec.catalogue import BACKBONES
+from spotlight_spec.files import replacing
 from spotlight_spec.graph import GraphContract, GraphLayout, TensorSpec, graph_contracts
 from spotlight_spec.manifest import (
     MANIFEST_NAME,
@@ -35,6 +36,7 @@ __all__ = [
     "encode",
     "graph_contracts",
     "read_json",
+    "replacing",
     "sha256_of",
     "write_json",
 ]

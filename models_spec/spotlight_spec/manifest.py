@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 from spotlight_spec.backbone import BackboneSpec
 from spotlight_spec.graph import GraphContract, GraphLayout
-from spotlight_spec.records import decode, encode, read_json, write_json
+from spotlight_spec.records import RecordError, decode, encode, read_json, write_json
 
 __all__ = [
     "MANIFEST_FORMAT",
@@ -129,13 +129,6 @@ class Manifest:
     provenance: dict[str, str] = field(default_factory=dict)
     format: int = MANIFEST_FORMAT
 
-    def __post_init__(self) -> None:
-        if self.format != MANIFEST_FORMAT:
-            raise ValueError(
-                f"manifest format {self.format} is not {MANIFEST_FORMAT}; export the model again "
-                "with this version, or install the version that wrote it"
-            )
-
     @classmethod
     def read(cls, folder: Path) -> Manifest:
         """Read and check ``manifest.json`` of a model folder.
@@ -148,7 +141,15 @@ class Manifest:
             If the manifest is malformed.
         """
         path = folder / MANIFEST_NAME
-        return decode(cls, read_json(path), where=str(path))
+        document = read_json(path)
+        # First of all: another format has other keys, and no key would be to blame for it.
+        present = document.get("format", MANIFEST_FORMAT) if isinstance(document, dict) else None
+        if present != MANIFEST_FORMAT:
+            raise RecordError(
+                f"{path}: manifest format {present} is not {MANIFEST_FORMAT}; export the model "
+                "again with this version, or install the version that wrote it"
+            )
+        return decode(cls, document, where=str(path))
 
     def write(self, folder: Path) -> None:
         """Write ``manifest.json`` atomically."""
@@ -169,7 +170,12 @@ class Manifest:
 
     def damaged_files(self, folder: Path) -> list[str]:
         """Say what is wrong with the folder's files, one sentence each; empty where all is well."""
-        problems = []
+        listed = {entry.path for entry in self.files}
+        problems = [
+            f"{graph.file_name} is not listed, so it cannot be checked"
+            for graph in self.graphs
+            if graph.file_name not in listed
+        ]
         for entry in self.files:
             path = folder / entry.path
             if not path.is_file():

@@ -15,6 +15,8 @@ import types
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from spotlight_spec.files import replacing
+
 __all__ = ["RecordError", "decode", "encode", "read_json", "write_json"]
 
 T = TypeVar("T")
@@ -53,7 +55,7 @@ def decode(kind: type[T], value: Any, where: str = "$") -> T:
 
 
 def read_json(path: Path) -> Any:
-    """Parse a UTF-8 JSON file; NaN and Infinity are refused because JSON has none.
+    """Parse a UTF-8 JSON file; NaN, Infinity and a key given twice are refused.
 
     Raises
     ------
@@ -64,8 +66,16 @@ def read_json(path: Path) -> Any:
     def refuse(name: str) -> Any:
         raise RecordError(f"{path}: {name} is not a JSON number; write a finite value")
 
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        twice = [key for key in keys if keys.count(key) > 1]
+        if twice:
+            raise RecordError(f"{path}: key {twice[0]!r} is given twice; keep one of them")
+        return dict(pairs)
+
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+        text = path.read_text(encoding="utf-8")
+        return json.loads(text, parse_constant=refuse, object_pairs_hook=unique)
     except RecordError:
         raise
     except (ValueError, RecursionError) as error:
@@ -74,14 +84,9 @@ def read_json(path: Path) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as indented JSON by write-then-rename: readers never see half a file."""
-    partial = path.with_name(path.name + ".partial")
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    try:
+    with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 def _decode(kind: Any, value: Any, where: str) -> Any:

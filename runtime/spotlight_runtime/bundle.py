@@ -108,7 +108,10 @@ def load_bundle(folder: Path) -> Scene:
 
 def save_bundle(scene: Scene, folder: Path) -> None:
     """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene."""
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise SceneError(f"{folder}: expected a folder to save in, found a file") from error
     (folder / SCENE_FILE).unlink(missing_ok=True)
     background = {"image": _write_map(folder, "background.exr", scene.background)}
     background |= _write_maps(folder, "background", scene.background_maps)

@@ -91,7 +91,6 @@ def relight(
         solver=solver,
         fidelity=fidelity,
         denoise=denoise,
-        batch_branches=not low_memory,
     )
     check_target(output)  # now, not after the minutes a relight takes
     loaded = Scene.load(scene)

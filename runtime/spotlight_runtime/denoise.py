@@ -15,12 +15,27 @@ from spotlight_runtime.errors import MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["denoise", "denoiser_available"]
+__all__ = ["denoise", "denoiser_available", "require_denoiser"]
 
 
 def denoiser_available() -> bool:
     """Whether the optional denoiser is installed."""
     return importlib.util.find_spec("pyoidn") is not None
+
+
+def require_denoiser() -> None:
+    """Raise unless the optional denoiser is installed.
+
+    Raises
+    ------
+    MissingExtraError
+        Naming the pip command.
+    """
+    if not denoiser_available():
+        raise MissingExtraError(
+            "denoising needs Open Image Denoise: pip install 'spotlight-relight[denoise]', "
+            "or relight without it (denoise=False, --no-denoise)"
+        )
 
 
 def denoise(
@@ -46,11 +61,7 @@ def denoise(
     MissingExtraError
         If Open Image Denoise is not installed.
     """
-    if not denoiser_available():
-        raise MissingExtraError(
-            "denoising needs Open Image Denoise: pip install 'spotlight-relight[denoise]', "
-            "or relight without it (denoise=False, --no-denoise)"
-        )
+    require_denoiser()
     with _without_torch():
         import pyoidn
     auxiliaries = {} if albedo is None else {"albedo": np.ascontiguousarray(albedo)}

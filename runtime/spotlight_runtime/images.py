@@ -9,8 +9,8 @@ partly grey picture.
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +27,7 @@ from spotlight_runtime.errors import (
     NonFiniteError,
     ShapeError,
 )
+from spotlight_spec import replacing
 
 __all__ = [
     "check_target",
@@ -144,7 +145,8 @@ def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: 
         key = cv2.IMWRITE_JPEG_QUALITY if suffix in _JPEG else cv2.IMWRITE_WEBP_QUALITY
         pixels = _swap_red_blue(_quantise(image, 8, path))
         data = _encode(suffix, pixels, [int(key), quality], path)
-    _write_atomically(path, data)
+    with _replacing(path) as partial:
+        partial.write_bytes(data)
 
 
 def check_target(path: Path) -> None:
@@ -188,13 +190,8 @@ def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[An
             key = f"{layer}.{name}" if layer else name
             channels[key] = np.ascontiguousarray(planes[..., i])
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    partial = _partial(path)
-    try:
+    with _replacing(path) as partial:
         OpenEXR.File(header, channels).write(str(partial))
-        partial.replace(path)
-    except (RuntimeError, OSError) as error:
-        partial.unlink(missing_ok=True)
-        raise ImageFileError(f"{path}: cannot be written: {error}") from error
 
 
 def _decode(data: bytes, path: Path) -> FloatArray:
@@ -274,22 +271,13 @@ def _read_bytes(path: Path) -> bytes:
         raise ImageFileError(f"{path!r}: cannot be read: {error}") from error
 
 
-def _write_atomically(path: Path, data: bytes) -> None:
-    partial = _partial(path)
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """`replacing`, with the errors of this module."""
     try:
-        partial.write_bytes(data)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise ImageFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _partial(path: Path) -> Path:
-    """Return a name beside ``path`` that no other writer uses."""
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".partial")
+        with replacing(path) as partial:
+            yield partial
     except OSError as error:
         raise ImageFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-    os.close(handle)
-    Path(name).chmod(0o644)
-    return Path(name)
+    except RuntimeError as error:  # OpenEXR's
+        raise ImageFileError(f"{path}: cannot be written: {error}") from error

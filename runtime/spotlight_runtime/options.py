@@ -49,7 +49,7 @@ class RelightOptions:
         Denoise the predictions; by default where the backbone was trained on noisy renders and
         the extra is installed.
     batch_branches : bool
-        Run both branches in one network call; off uses less memory.
+        Run both branches in one network call: more memory, and no faster on a CPU.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class RelightOptions:
     guidance_rescale: float = 0.0
     shadow_opacity: float = 1.0
     denoise: bool | None = None
-    batch_branches: bool = True
+    batch_branches: bool = False
 
     def __post_init__(self) -> None:
         for name, high in _LIMITS.items():

@@ -20,7 +20,7 @@ from spotlight_runtime.codec import decode_latents, encode_conditioning
 from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_srgb
 from spotlight_runtime.composite import compose_picture
 from spotlight_runtime.conditioning import composite_maps, conditioning_array, masked_region
-from spotlight_runtime.denoise import denoise, denoiser_available
+from spotlight_runtime.denoise import denoise, denoiser_available, require_denoiser
 from spotlight_runtime.models import LazyNetworks, open_networks, predictor, resolve_model
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.preparation import loop_inputs, prepare
@@ -152,6 +152,7 @@ class Relighter:
         Close it to cancel between two steps.
         """
         options = options or RelightOptions()
+        denoising = self._denoising(options)  # an error about it now, not after the loop
         stopwatch = Stopwatch()
         with stopwatch.stage("prepare"):
             padded, shadows = prepare(self.spec, scene, shadow, negative)
@@ -171,7 +172,6 @@ class Relighter:
             predicted = decode_latents(self._networks, self.spec, latents[:1])
             no_shadow = decode_latents(self._networks, self.spec, plain_latents)
             self._release("vae_decoder")
-        denoising = self._denoising(options)
         if denoising == "on":
             with stopwatch.stage("denoise"):
                 predicted = self._denoise(predicted, padded)
@@ -241,8 +241,11 @@ class Relighter:
         return sample(predict, noise, make_solver(options.solver, self._schedule(options)))
 
     def _denoising(self, options: RelightOptions) -> str:
-        if options.denoise is not None:
-            return "on" if options.denoise else "off: not wanted"
+        if options.denoise is False:
+            return "off: not wanted"
+        if options.denoise:
+            require_denoiser()
+            return "on"
         if not self.spec.noisy_renders:
             return "off: the backbone was trained on clean renders"
         if not denoiser_available():

@@ -178,6 +178,13 @@ class Scene:
         """Write the scene as a bundle: PNG (16 bit) for maps in [0, 1], EXR for the others.
 
         ``scene.json`` is written last, so an interrupted save is not taken for a scene.
+
+        Raises
+        ------
+        SceneError
+            If ``folder`` is a file.
+        ImageFileError
+            If a map cannot be written.
         """
         from spotlight_runtime.bundle import save_bundle
 

@@ -36,6 +36,8 @@ Network = Callable[..., dict[str, npt.NDArray[Any]]]
 """``network(**named_arrays)`` → named arrays, names as in the graph's contract."""
 
 DEFAULT_PROVIDERS: Final = ("CPUExecutionProvider",)
+EVERY_STEP: Final = ("denoiser", "controlnet", "unet")
+"""Graphs that run every step and keep their working memory; the others give it back."""
 _CGROUP: Final = Path("/sys/fs/cgroup")
 _DTYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
@@ -73,6 +75,8 @@ class OnnxGraph:
         Injected; see `open_graph`.
     contract : GraphContract
         Checked against the session's own inputs and outputs.
+    run_options : onnxruntime.RunOptions, optional
+        Of every run.
 
     Raises
     ------
@@ -80,8 +84,14 @@ class OnnxGraph:
         If names, element types or dimensions differ, or a dynamic dimension is fixed.
     """
 
-    def __init__(self, session: ort.InferenceSession, contract: GraphContract) -> None:
+    def __init__(
+        self,
+        session: ort.InferenceSession,
+        contract: GraphContract,
+        run_options: ort.RunOptions | None = None,
+    ) -> None:
         self._session = session
+        self._run_options = run_options
         self._name = contract.file_name
         self._outputs = [tensor.name for tensor in contract.outputs]
         for expected, got in (
@@ -100,7 +110,9 @@ class OnnxGraph:
         """
         try:
             with _denormals_as_zero():
-                return dict(zip(self._outputs, self._session.run(self._outputs, inputs)))
+                return dict(
+                    zip(self._outputs, self._session.run(self._outputs, inputs, self._run_options))
+                )
         except Exception as error:  # ONNX Runtime's exceptions share no base class
             shapes = ", ".join(f"{k} {v.dtype}{list(v.shape)}" for k, v in inputs.items())
             raise ModelError(f"{self._name}: cannot be run on {shapes}: {error}") from error
@@ -162,7 +174,11 @@ def open_graph(
             f"{path}: asked for {providers[0]}, in use is {session.get_providers()[0]}; "
             "name the provider you want to run on"
         )
-    return OnnxGraph(session, contract)
+    run_options = ort.RunOptions()
+    if contract.name not in EVERY_STEP:
+        # Gigabytes of full-resolution activations would wait through all steps for the next call.
+        run_options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+    return OnnxGraph(session, contract, run_options)
 
 
 # A denormal costs up to 30 times a normal number and carries nothing a picture shows. ONNX Runtime

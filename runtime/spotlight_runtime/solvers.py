@@ -171,9 +171,7 @@ def _first_order(schedule: Schedule, i: int, z: FloatArray, x0: FloatArray) -> F
 
 
 def _log_snr_step(schedule: Schedule, i: int) -> float:
-    """h = λ_{i+1} − λ_i; infinite where σ reaches 0."""
+    """h = λ_{i+1} − λ_i, for all steps but the last, where σ reaches 0."""
     alpha, sigma = _alpha_sigma(schedule, i)
     alpha_next, sigma_next = _alpha_sigma(schedule, i + 1)
-    if sigma_next == 0.0:
-        return math.inf
     return math.log(alpha_next / sigma_next) - math.log(alpha / sigma)

@@ -318,3 +318,9 @@ def test_absurd_scale_is_an_error_of_the_tree(bundle, scale):
     edit(bundle, "background", "depth", "scale", value=scale)
     with pytest.raises(InvalidInputError, match="background depth"):
         Scene.load(bundle)
+
+
+def test_saving_onto_a_file_is_said(scene, tmp_path):
+    (tmp_path / "chair").write_text("not a folder")
+    with pytest.raises(SceneError, match="chair: expected a folder to save in, found a file"):
+        scene.save(tmp_path / "chair")

@@ -76,8 +76,8 @@ def test_a_fresh_relighter_gives_the_same_bytes(backbone, relighter, options, sc
 
 
 def test_branches_apart_give_the_same_picture(relighter, options, scene, shadow, negative):
-    together = relighter.relight(scene, shadow, negative, options)
-    apart = relighter.relight(scene, shadow, negative, replace(options, batch_branches=False))
+    apart = relighter.relight(scene, shadow, negative, options)
+    together = relighter.relight(scene, shadow, negative, replace(options, batch_branches=True))
     np.testing.assert_allclose(apart.image, together.image, atol=1e-5)
 
 

@@ -22,14 +22,16 @@ from spotlight_spec import (
 @pytest.fixture
 def folder(tmp_path):
     """A model folder with two files, one of them in a subfolder."""
-    (tmp_path / "unet.onnx").write_bytes(bytes(range(256)) * 8)
+    (tmp_path / "denoiser.onnx").write_bytes(bytes(range(256)) * 8)
     (tmp_path / "data").mkdir()
-    (tmp_path / "data/unet.onnx.data").write_bytes(b"weights" * 100)
-    paths = ["unet.onnx", "data/unet.onnx.data"]
+    (tmp_path / "data/denoiser.onnx.data").write_bytes(b"weights" * 100)
+    paths = ["denoiser.onnx", "data/denoiser.onnx.data"]
     spec = BACKBONES["mini"]
     manifest = Manifest(
         backbone=spec,
-        graphs=graph_contracts(spec, condition_channels=4),
+        graphs=tuple(
+            c for c in graph_contracts(spec, condition_channels=4) if c.name == "denoiser"
+        ),
         layout="fused",
         precision="int8",
         opset=21,
@@ -59,43 +61,43 @@ def test_whole_folder_has_no_damage(folder):
 
 
 def test_missing_file_is_named(folder):
-    (folder / "unet.onnx").unlink()
-    assert Manifest.read(folder).damaged_files(folder) == ["unet.onnx is missing"]
+    (folder / "denoiser.onnx").unlink()
+    assert Manifest.read(folder).damaged_files(folder) == ["denoiser.onnx is missing"]
 
 
 def test_folder_in_place_of_a_file_is_a_missing_file(folder):
-    (folder / "unet.onnx").unlink()
-    (folder / "unet.onnx").mkdir()
-    assert Manifest.read(folder).damaged_files(folder) == ["unet.onnx is missing"]
+    (folder / "denoiser.onnx").unlink()
+    (folder / "denoiser.onnx").mkdir()
+    assert Manifest.read(folder).damaged_files(folder) == ["denoiser.onnx is missing"]
 
 
 @pytest.mark.parametrize("keep", [0, 1, 2047])
 def test_truncated_file_is_named_with_both_sizes(folder, keep):
-    path = folder / "unet.onnx"
+    path = folder / "denoiser.onnx"
     path.write_bytes(path.read_bytes()[:keep])
     assert Manifest.read(folder).damaged_files(folder) == [
-        f"unet.onnx has {keep} bytes, expected 2048"
+        f"denoiser.onnx has {keep} bytes, expected 2048"
     ]
 
 
 @pytest.mark.parametrize("offset", [0, 350, 699])
 def test_one_flipped_bit_is_noticed(folder, offset):
-    path = folder / "data/unet.onnx.data"
+    path = folder / "data/denoiser.onnx.data"
     data = bytearray(path.read_bytes())
     data[offset] ^= 1
     path.write_bytes(data)
     (problem,) = Manifest.read(folder).damaged_files(folder)
-    assert problem.startswith(f"data/unet.onnx.data has sha256 {sha256_of(path)}, expected ")
+    assert problem.startswith(f"data/denoiser.onnx.data has sha256 {sha256_of(path)}, expected ")
 
 
 def test_every_damaged_file_is_listed(folder):
-    (folder / "unet.onnx").unlink()
-    (folder / "data/unet.onnx.data").write_bytes(b"")
+    (folder / "denoiser.onnx").unlink()
+    (folder / "data/denoiser.onnx.data").write_bytes(b"")
     assert len(Manifest.read(folder).damaged_files(folder)) == 2
 
 
 @pytest.mark.parametrize(
-    "path", ["", ".", "/etc/passwd", "..", "../other/unet.onnx", "data/../../unet.onnx"]
+    "path", ["", ".", "/etc/passwd", "..", "../other/denoiser.onnx", "data/../../denoiser.onnx"]
 )
 def test_path_that_leaves_the_folder_is_refused(folder, path):
     with pytest.raises(ValueError, match="must stay inside the model folder"):
@@ -113,6 +115,21 @@ def test_other_format_says_what_to_do(folder, number):
     write_json(folder / MANIFEST_NAME, document)
     with pytest.raises(RecordError, match=f"manifest format {number} is not 1; export the model"):
         Manifest.read(folder)
+
+
+def test_other_format_is_said_before_its_unknown_keys(folder):
+    document = json.loads((folder / MANIFEST_NAME).read_text()) | {"format": 2, "signature": "x"}
+    write_json(folder / MANIFEST_NAME, document)
+    with pytest.raises(RecordError, match="manifest format 2 is not 1"):
+        Manifest.read(folder)
+
+
+def test_graph_whose_file_is_not_listed_is_damage(folder):
+    document = json.loads((folder / MANIFEST_NAME).read_text())
+    del document["files"][0]
+    write_json(folder / MANIFEST_NAME, document)
+    (problem,) = Manifest.read(folder).damaged_files(folder)
+    assert problem.startswith("denoiser.onnx is not listed")
 
 
 def test_manifest_error_names_the_file(folder):
@@ -145,7 +162,7 @@ def test_failed_write_keeps_the_old_manifest(folder):
 
 
 def test_write_leaves_nothing_else_behind(folder):
-    assert sorted(p.name for p in folder.iterdir()) == ["data", MANIFEST_NAME, "unet.onnx"]
+    assert sorted(p.name for p in folder.iterdir()) == ["data", "denoiser.onnx", MANIFEST_NAME]
 
 
 def test_reader_never_meets_half_a_manifest(folder):

@@ -168,3 +168,10 @@ def test_overflowing_number_in_a_file_is_not_infinity(tmp_path):
 
 def test_record_errors_are_value_errors():
     assert issubclass(RecordError, ValueError)
+
+
+def test_key_given_twice_is_refused(tmp_path):
+    path = tmp_path / "scene.json"
+    path.write_text('{"a": 1, "b": {"c": 1, "c": 2}}', encoding="utf-8")
+    with pytest.raises(RecordError, match=r"scene\.json: key 'c' is given twice"):
+        read_json(path)

@@ -25,8 +25,9 @@ lint: setup     ## style and import boundaries
 types: setup    ## static types, strict on specification and runtime
 	$(BIN)/mypy
 
-unit: setup     ## unit, property, export and parity tests, with coverage of the runtime
-	$(BIN)/pytest -m 'not full' --cov --cov-report=term
+unit: setup     ## unit and property tests with coverage, then export, parity and the README
+	$(BIN)/pytest tests/spec tests/runtime --cov --cov-report=term
+	$(BIN)/pytest -m 'not full' --ignore=tests/spec --ignore=tests/runtime
 
 edge:           ## build the wheel, install it without torch, run the runtime's tests on it
 	python3 -m venv --clear $(EDGE_VENV)

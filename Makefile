@@ -12,7 +12,7 @@ setup: $(VENV)/.installed ## virtual environment with everything the tests need
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	python3 -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench]'
 	touch $@
 
 test: lint types unit edge ## all that must pass before a change lands

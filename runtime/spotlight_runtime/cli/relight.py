@@ -1,8 +1,7 @@
-"""The ``spotlight`` command."""
+"""``spotlight relight``."""
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,36 +10,19 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import luma
-from spotlight_runtime.errors import SpotLightError
 from spotlight_runtime.images import check_target, read_image, write_image
-from spotlight_runtime.models import find_models
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.relighter import Relighter
 from spotlight_runtime.result import RelightResult
 from spotlight_runtime.scene import Scene
 from spotlight_spec import write_json
 
-__all__ = ["main"]
-
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Relight an object in a photograph by its shadow, on any CPU.",
-    epilog="Start with:  spotlight models,  then  spotlight relight --help",
-)
+__all__ = ["relight"]
 
 
-@app.callback()
-def _about() -> None:
-    """Relight an object in a photograph by its shadow, on any CPU."""
-
-
-@app.command()
 def relight(
     scene: Annotated[
         Path, typer.Argument(help="Scene folder or zip: scene.json, or the published layout.")
@@ -104,43 +86,6 @@ def relight(
         write_json(report, facts)
     total = sum(result.timings.values())
     print(f"{output}: {result.evaluations} evaluations, {total:.1f} s", file=sys.stderr)
-
-
-@app.command()
-def models(
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
-) -> None:
-    """List the models found here: precision, size, provenance."""
-    found = [model.summary() for model in find_models()]
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    table = Table("name", "backbone", "precision", "MB", "worst error", "made from")
-    for model in found:
-        error = model["worst_parity"]
-        table.add_row(
-            model["name"],
-            model["backbone"],
-            model["precision"],
-            f"{model['bytes'] / 1e6:.0f}",
-            "not verified" if error is None else f"{error:.1e}",
-            model["source"],
-        )
-    Console().print(table)
-    if not found:
-        Console(stderr=True).print(
-            "No model here. Export one with `spotlight-export`, put its folder under models/, or "
-            "name the parent folder in SPOTLIGHT_MODELS."
-        )
-
-
-def main() -> None:
-    """Entry point: errors of package and files are one line on stderr and exit code 1."""
-    try:
-        app()
-    except (SpotLightError, OSError) as error:
-        print("spotlight:", " ".join(str(error).split()), file=sys.stderr)
-        sys.exit(1)
 
 
 def _run_with_progress(

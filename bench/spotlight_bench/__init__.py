@@ -1,0 +1,1 @@
+"""Evaluation of backbones and methods against ground truth."""

@@ -1,0 +1,39 @@
+"""The ``spotlight`` command: one module a subcommand, registered here."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from spotlight_runtime.cli.models import models
+from spotlight_runtime.cli.relight import relight
+from spotlight_runtime.errors import SpotLightError
+
+__all__ = ["main"]
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Relight an object in a photograph by its shadow, on any CPU.",
+    epilog="Start with:  spotlight models,  then  spotlight relight --help",
+)
+
+
+@app.callback()
+def _about() -> None:
+    """Relight an object in a photograph by its shadow, on any CPU."""
+
+
+for _command in (relight, models):
+    app.command()(_command)
+
+
+def main() -> None:
+    """Entry point: errors of package and files are one line on stderr and exit code 1."""
+    try:
+        app()
+    except (SpotLightError, OSError) as error:
+        print("spotlight:", " ".join(str(error).split()), file=sys.stderr)
+        sys.exit(1)

@@ -8,7 +8,9 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
     SpotLightError
     ├── InvalidInputError (ValueError)       an array or option is out of its domain
     │   ├── ShapeError                       wrong size or number of channels
-    │   └── NonFiniteError                   NaN or infinity in an input
+    │   ├── NonFiniteError                   NaN or infinity in an input
+    │   ├── GroundError                      no floor where one is needed
+    │   └── LightError                       a light below the floor, or in the object
     ├── DtypeError (TypeError)               an array of the wrong element type
     ├── MissingMapError (LookupError)        the scene lacks a map the backbone needs
     ├── ImageFileError (OSError)             an image that cannot be read or written
@@ -28,8 +30,10 @@ from __future__ import annotations
 __all__ = [
     "DtypeError",
     "GraphContractError",
+    "GroundError",
     "ImageFileError",
     "InvalidInputError",
+    "LightError",
     "MissingExtraError",
     "MissingMapError",
     "ModelError",
@@ -59,6 +63,14 @@ class ShapeError(InvalidInputError):
 
 class NonFiniteError(InvalidInputError):
     """An input holds NaN or infinity."""
+
+
+class GroundError(InvalidInputError):
+    """There is no floor where one is needed."""
+
+
+class LightError(InvalidInputError):
+    """A light stands where none can be: below the floor, or in the object."""
 
 
 class DtypeError(SpotLightError, TypeError):

@@ -15,9 +15,12 @@ from typing import Any, Final
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, check_array, pad_edge
+from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from spotlight_runtime.errors import InvalidInputError, SceneError, ShapeError
+from spotlight_runtime.ground import Ground
+from spotlight_runtime.mesh import ObjectMesh
 
-__all__ = ["MAP_NAMES", "Intrinsics", "Scene"]
+__all__ = ["MAP_NAMES", "Intrinsics", "ObjectMesh", "Scene"]
 
 
 MAP_NAMES: Final = ("albedo", "normal", "depth", "roughness", "metallic")
@@ -80,6 +83,10 @@ class Scene:
     field_of_view : float, optional
         Horizontal, degrees.
     name : str
+    object_mesh : ObjectMesh, optional
+        The object as triangles in camera space, to cast shadows from.
+    ground : Ground, optional
+        The floor the object stands on.
     """
 
     background: FloatArray
@@ -90,6 +97,8 @@ class Scene:
     truth: FloatArray | None = None
     field_of_view: float | None = None
     name: str = "scene"
+    object_mesh: ObjectMesh | None = None
+    ground: Ground | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.background, np.ndarray) or self.background.ndim != 3:
@@ -113,6 +122,12 @@ class Scene:
         """Height and width in pixels."""
         return self.background.shape[0], self.background.shape[1]
 
+    @property
+    def camera(self) -> Camera:
+        """The camera; 50 degrees wide where the scene does not say."""
+        height, width = self.size
+        return Camera(width, height, self.field_of_view or DEFAULT_FIELD_OF_VIEW)
+
     def has_map(self, name: str) -> bool:
         """Whether background and object both have the map."""
         return all(
@@ -120,7 +135,10 @@ class Scene:
         )
 
     def padded(self, multiple: int) -> Scene:
-        """The scene grown to the right and below to multiples, by repeating its border."""
+        """The scene grown to the right and below to multiples, by repeating its border.
+
+        The grown scene has no geometry: its optical axis is not in its middle any more.
+        """
         height, width = (-(-side // multiple) * multiple for side in self.size)
         if (height, width) == self.size:
             return self
@@ -140,6 +158,8 @@ class Scene:
             object_mask=pad_edge(self.object_mask, (height, width)),
             footprint_depth=grow(self.footprint_depth),
             truth=grow(self.truth),
+            object_mesh=None,
+            ground=None,
         )
 
     @classmethod

@@ -1,0 +1,120 @@
+"""A light, as a person places it: by direction, by position, round or without extent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from spotlight_runtime.errors import InvalidInputError
+
+__all__ = ["Light", "Vector"]
+
+
+Vector = tuple[float, float, float]
+
+_MOST_ANGULAR_RADIUS: Final = 60.0
+"""Degrees; a wider directional light is a sky, which casts no shadow to guide by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """A light that casts a guiding shadow.
+
+    It is placed by a direction (``azimuth`` and ``elevation``, seen from the middle of the object)
+    and a ``distance``, or else by a ``position``. Lengths in *object sizes* are multiples of the
+    longest side of the object's bounding box, so a light means the same for a cup and a sofa.
+
+    Attributes
+    ----------
+    azimuth : float, optional
+        Degrees round the vertical, from the object towards the light: 0 is the camera's right, 90
+        away from the camera, 180 the left, 270 towards the camera.
+    elevation : float, optional
+        Degrees above the horizontal, −90 to 90.
+    radius : float
+        How large the light is, and so how soft its shadow; 0 for a hard edge. Object sizes; for a
+        directional light (``distance`` None) degrees, half the angle under which the light is
+        seen (the sun's is 0.27).
+    distance : float, optional
+        Object sizes from the middle of the object; None for a light infinitely far away.
+    position : (x, y, z), optional
+        Instead of azimuth, elevation and distance, in the unit of the depth maps (metres). In the
+        world frame from the middle of the object's base: right, away from the camera, up. In the
+        camera frame from the camera: right, up, towards the viewer.
+    frame : {"world", "camera"}
+        Whether the horizontal is the floor's, or the camera's.
+    weight : float
+        Its share where several lights are combined, ≥ 0.
+    colour : (r, g, b)
+        Its linear colour where several lights are combined, each ≥ 0.
+    turned : bool
+        Half a turn round the object is still to be made (`opposite` of a light in the camera's
+        coordinates, where the object's place is not known yet).
+    """
+
+    azimuth: float | None = None
+    elevation: float | None = None
+    radius: float = 1.0
+    distance: float | None = 10.0
+    position: Vector | None = None
+    frame: Literal["world", "camera"] = "world"
+    weight: float = 1.0
+    colour: Vector = (1.0, 1.0, 1.0)
+    turned: bool = False
+
+    def __post_init__(self) -> None:
+        self._check_place()
+        _check(self.radius, "radius", 0.0, math.inf)
+        if self.directional:
+            _check(self.radius, "radius of a directional light", 0.0, _MOST_ANGULAR_RADIUS)
+        if self.frame not in ("world", "camera"):
+            raise InvalidInputError(f"frame: expected world or camera, got {self.frame!r}")
+        _check(self.weight, "weight", 0.0, math.inf)
+        if len(self.colour) != 3:
+            raise InvalidInputError(f"colour: expected red, green, blue, got {self.colour!r}")
+        for value in self.colour:
+            _check(value, "colour", 0.0, math.inf)
+
+    @property
+    def directional(self) -> bool:
+        """Whether the light is infinitely far away."""
+        return self.position is None and self.distance is None
+
+    def opposite(self) -> Light:
+        """The light across the object, for the negative shadow: azimuth + 180°."""
+        if self.position is None:
+            assert self.azimuth is not None
+            return replace(self, azimuth=(self.azimuth + 180.0) % 360.0)
+        if self.frame == "camera":
+            return replace(self, turned=not self.turned)
+        x, y, z = self.position
+        return replace(self, position=(-x, -y, z))
+
+    def _check_place(self) -> None:
+        if self.position is None:
+            if self.azimuth is None or self.elevation is None:
+                raise InvalidInputError(
+                    "light: expected azimuth and elevation in degrees, or a position, got "
+                    f"azimuth {self.azimuth} and elevation {self.elevation}"
+                )
+            _check(self.azimuth, "azimuth", -math.inf, math.inf)
+            _check(self.elevation, "elevation", -90.0, 90.0)
+            if self.distance is not None:
+                _check(self.distance, "distance", 0.0, math.inf, open_below=True)
+            return
+        if self.azimuth is not None or self.elevation is not None:
+            raise InvalidInputError(
+                "light: expected azimuth and elevation or a position, got both; leave one out"
+            )
+        if len(self.position) != 3:
+            raise InvalidInputError(f"position: expected x, y, z, got {self.position!r}")
+        for value in self.position:
+            _check(value, "position", -math.inf, math.inf)
+
+
+def _check(value: float, name: str, low: float, high: float, open_below: bool = False) -> None:
+    inside = math.isfinite(value) and low <= value <= high and not (open_below and value == low)
+    if not inside:
+        bounds = f"above {low:g}" if open_below else f"from {low:g} to {high:g}"
+        raise InvalidInputError(f"{name}: expected a finite number {bounds}, got {value}")

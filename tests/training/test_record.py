@@ -136,7 +136,7 @@ def test_export_writes_the_published_layout(tmp_path):
     names = {path.name for path in folder.iterdir()}
     directions = [f"{i:04d}" for i in range(8)] + ["gt_dir"]
     expected = {f"shadow_{sign}_{d}.png" for sign in ("positive", "negative") for d in directions}
-    expected |= {f"truth_{d}.png" for d in directions} | {"meta.json"}
+    expected |= {f"truth_{d}.exr" for d in directions[:8]} | {"meta.json"}
     stem = "test_000002"
     expected |= {f"{stem}_bundle0001.exr", f"{stem}_bg_depth.exr"}
     expected |= {f"{stem}_bg_{m}.png" for m in ("normal", "diffuse", "roughness", "metallic")}
@@ -157,3 +157,41 @@ def test_export_names_an_empty_folder(tmp_path):
 
     with pytest.raises(FileNotFoundError, match="found none"):
         next(export_folder(tmp_path, tmp_path / "out"))
+
+
+def test_truth_of_another_light_keeps_the_photograph_and_lights_the_object():
+    from spotlight_training.render.truth import relit_truth
+
+    record = make_record()
+    one, other = record.lights
+    rows = np.arange(SIDE)[:, None] * np.ones((1, SIDE))
+    alpha = np.where(rows < 8, 1.0, np.where(rows == 8, 0.5, 0.0)).astype(np.float32)
+    grey = np.ones((SIDE, SIDE, 3), np.float32)
+    shadow = np.where(rows < 16, 0.25, 1.0)[..., None].astype(np.float32)
+    behind, own = 0.8 * grey, 0.3 * grey
+    seen = alpha[..., None] * own + (1 - alpha[..., None]) * shadow * behind
+    record = dataclasses.replace(
+        record,
+        object=dataclasses.replace(record.object, alpha=alpha),
+        lights={one: grey, other: seen},
+        lights_background={one: grey, other: behind},
+        ambient=0 * grey,
+        ambient_background=0 * grey,
+    )
+    photograph = 0.1 + 0.5 * np.random.default_rng(1).random((SIDE, SIDE, 3), dtype=np.float32)
+    truth = relit_truth(record, other, photograph, exposure=2.0)
+    expected = alpha[..., None] * own * 2.0 + (1 - alpha[..., None]) * shadow * photograph
+    np.testing.assert_allclose(truth, expected, rtol=1e-5)
+    assert truth.dtype == np.float32
+
+
+def test_truth_never_brightens_the_photograph():
+    from spotlight_training.render.truth import relit_truth
+
+    record = make_record()
+    none = dataclasses.replace(record.object, alpha=np.zeros((SIDE, SIDE), np.float32))
+    record = dataclasses.replace(record, object=none)
+    photograph = np.full((SIDE, SIDE, 3), 0.4, np.float32)
+    truth = relit_truth(record, next(iter(record.lights)), photograph, exposure=1.0)
+    assert truth.max() <= photograph.max()
+    assert truth.min() < 0.2

@@ -4,8 +4,11 @@
 foreground, metallic, normals and roughness (premultiplied RGBA; scalar layers carry their value in
 B) and mask.R. Beside it lie the background's maps (`<name>_bg_depth.exr`, `_bg_normal.png`,
 `_bg_diffuse.png`, `_bg_roughness.png`, `_bg_metallic.png`), the guiding shadows
-`shadow_positive_*.png` and `shadow_negative_*.png`, for every direction of the truth `truth_*.png`,
-and `meta.json`.
+`shadow_positive_*.png` and `shadow_negative_*.png`, and `meta.json`.
+
+The layer composite is the truth of the photograph's own dominant light. For every other direction
+there is, beyond the published layout, `truth_*.exr`: linear RGB of the same photograph with the
+object lit from there (see `truth.relit_truth`).
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from .description import SceneDescription
 from .mesh import Array
 from .record import SUFFIX, SceneRecord
 from .scenes import OPPOSITE
+from .truth import relit_truth
 
 OPPOSITE_TOLERANCE = 1.0
 """Degrees within which a rendered light counts as the opposite of another."""
@@ -95,7 +99,12 @@ def export_scene(record: SceneRecord, name: str, folder: Path, light: str = "gt_
         other = _opposite(record.description, own)
         if other is not None:
             _png(folder / f"shadow_negative_{own}.png", record.shadows[other] * outside)
-        _png(folder / f"truth_{own}.png", record.image({own: 1.0}, exposure=exposure))
+        if own != light:
+            truth = relit_truth(record, own, background, exposure).astype(np.float16)
+            exr.write(
+                folder / f"truth_{own}.exr",
+                {channel: truth[..., i] for i, channel in enumerate("RGB")},
+            )
     meta = json.dumps(_meta(record.description, light, exposure), indent=1)
     (folder / "meta.json").write_text(meta + "\n", encoding="utf-8")
     return folder

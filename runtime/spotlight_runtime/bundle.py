@@ -12,14 +12,26 @@ import numpy as np
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import decode_to_linear
 from spotlight_runtime.errors import SceneError, ShapeError, UnsafePathError
+from spotlight_runtime.ground import Ground
 from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.mesh import ObjectMesh
+from spotlight_runtime.mesh_files import read_mesh, write_mesh
 from spotlight_runtime.scene import MAP_NAMES, Intrinsics, Scene
 from spotlight_spec import RecordError, decode, encode, read_json, write_json
 
-__all__ = ["SCENE_FILE", "MapFile", "SceneFile", "load_bundle", "save_bundle", "unpack"]
+__all__ = [
+    "SCENE_FILE",
+    "GeometryFile",
+    "MapFile",
+    "SceneFile",
+    "load_bundle",
+    "save_bundle",
+    "unpack",
+]
 
 
 SCENE_FILE: Final = "scene.json"
+MESH_FILE: Final = "object_mesh.npz"
 MAX_ZIP_BYTES: Final = 1 << 30
 
 
@@ -42,12 +54,33 @@ class MapFile:
     scale: float = 1.0
 
 
+_Row = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryFile:
+    """The object's mesh in a bundle.
+
+    Attributes
+    ----------
+    file : str
+        Path relative to the bundle, inside it: ``.npz`` with ``vertices`` and ``faces``, or a model
+        (``.glb``, ``.obj``, …).
+    pose : 4 rows of 4 numbers, optional
+        From the file's coordinates to camera space, acting on columns.
+    """
+
+    file: str
+    pose: tuple[_Row, _Row, _Row, _Row] | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class SceneFile:
     """``scene.json``.
 
     ``background`` has ``image`` and maps, ``object`` has ``mask`` and maps premultiplied by it;
     maps are albedo, normal, depth, roughness and metallic, of which only albedo is required.
+    ``object_geometry`` is what casts shadows, ``ground`` the floor in camera space.
     """
 
     version: Literal[1]
@@ -59,6 +92,8 @@ class SceneFile:
     field_of_view: float | None = None
     footprint_depth: MapFile | None = None
     truth: MapFile | None = None
+    object_geometry: GeometryFile | None = None
+    ground: Ground | None = None
 
     def __post_init__(self) -> None:
         for owner, maps, image in (
@@ -103,6 +138,8 @@ def load_bundle(folder: Path) -> Scene:
         truth=read(record.truth, 3) if record.truth else None,
         field_of_view=record.field_of_view,
         name=record.name,
+        object_mesh=_read_geometry(folder, record.object_geometry),
+        ground=record.ground,
     )
 
 
@@ -122,6 +159,10 @@ def save_bundle(scene: Scene, folder: Path) -> None:
         footprint = _write_map(folder, "footprint_depth.exr", scene.footprint_depth)
     if scene.truth is not None:
         truth = _write_map(folder, "truth.exr", scene.truth)
+    geometry = None
+    if scene.object_mesh is not None:
+        write_mesh(folder / MESH_FILE, scene.object_mesh)
+        geometry = GeometryFile(MESH_FILE)
     height, width = scene.size
     record = SceneFile(
         version=1,
@@ -133,20 +174,35 @@ def save_bundle(scene: Scene, folder: Path) -> None:
         field_of_view=scene.field_of_view,
         footprint_depth=footprint,
         truth=truth,
+        object_geometry=geometry,
+        ground=scene.ground,
     )
     write_json(folder / SCENE_FILE, encode(record))
 
 
-def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]) -> FloatArray:
+def _read_geometry(folder: Path, entry: GeometryFile | None) -> ObjectMesh | None:
+    if entry is None:
+        return None
+    pose = None if entry.pose is None else np.array(entry.pose, dtype=np.float64)
+    return read_mesh(_inside(folder, entry.file), pose)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """The path of a file that ``scene.json`` names, which must not leave the bundle."""
     try:
-        path = (folder / entry.file).resolve()
+        path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # a null byte, a symlink to itself
-        raise SceneError(f"{folder / SCENE_FILE}: {entry.file!r} is no file: {error}") from error
+        raise SceneError(f"{folder / SCENE_FILE}: {name!r} is no file: {error}") from error
     if not path.is_relative_to(folder.resolve()):
         raise UnsafePathError(
-            f"{folder / SCENE_FILE}: {entry.file!r} lies outside the bundle; "
+            f"{folder / SCENE_FILE}: {name!r} lies outside the bundle; "
             "copy the file into the scene's folder and name it there"
         )
+    return path
+
+
+def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]) -> FloatArray:
+    path = _inside(folder, entry.file)
     pixels = read_image(path)
     if pixels.shape[:2] != size:
         raise ShapeError(

@@ -20,6 +20,7 @@ import numpy.typing as npt
 import OpenEXR
 
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.decoding import decode_pixels, read_bytes, swap_red_blue
 from spotlight_runtime.errors import (
     DtypeError,
     ImageFileError,
@@ -27,6 +28,7 @@ from spotlight_runtime.errors import (
     NonFiniteError,
     ShapeError,
 )
+from spotlight_runtime.headers import check_header, read_header
 from spotlight_spec import replacing
 
 __all__ = [
@@ -42,8 +44,7 @@ __all__ = [
 _JPEG: Final = {".jpg", ".jpeg"}
 _EIGHT_BIT: Final = {*_JPEG, ".webp"}
 _READABLE: Final = {".png", ".hdr", ".exr", *_EIGHT_BIT}
-_JPEG_SIGNATURE: Final = b"\xff\xd8\xff"
-_SIGNATURES: Final = (b"\x89PNG\r\n\x1a\n", _JPEG_SIGNATURE, b"RIFF", b"#?")
+_EXR_HEADER_BYTES: Final = 1 << 16  # attributes of ordinary files take a few hundred
 _CHANNEL_ORDER: Final = {name: i for i, name in enumerate("RGBXYZVA")}
 
 
@@ -79,7 +80,7 @@ def read_image(path: str | Path) -> FloatArray:
                 "split the file or name its layers as a published scene bundle"
             )
         return layers.get("", next(iter(layers.values())))
-    return _decode(_read_bytes(path), path)
+    return _as_float(decode_pixels(read_bytes(path), path))
 
 
 def read_exr_layers(path: Path) -> dict[str, FloatArray]:
@@ -98,6 +99,7 @@ def read_exr_layers(path: Path) -> dict[str, FloatArray]:
     """
     if not os.path.isfile(path):  # unlike Path.is_file, False for impossible names too
         raise ImageFileError(f"{path}: no such file")
+    _check_exr_header(path)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
@@ -138,12 +140,12 @@ def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: 
         return
     _check_pixels(image, path)
     if suffix == ".hdr":
-        data = _encode(".hdr", _swap_red_blue(image.astype(np.float32)), [], path)
+        data = _encode(".hdr", swap_red_blue(image.astype(np.float32)), [], path)
     elif suffix == ".png":
-        data = _encode(".png", _swap_red_blue(_quantise(image, bits, path)), [], path)
+        data = _encode(".png", swap_red_blue(_quantise(image, bits, path)), [], path)
     else:
         key = cv2.IMWRITE_JPEG_QUALITY if suffix in _JPEG else cv2.IMWRITE_WEBP_QUALITY
-        pixels = _swap_red_blue(_quantise(image, 8, path))
+        pixels = swap_red_blue(_quantise(image, 8, path))
         data = _encode(suffix, pixels, [int(key), quality], path)
     with _replacing(path) as partial:
         partial.write_bytes(data)
@@ -172,7 +174,7 @@ def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:
     """PNG bytes of an image with values in [0, 1] (clipped)."""
     path = Path("image.png")
     _check_pixels(image, path)
-    return _encode(".png", _swap_red_blue(_quantise(image, bits, path)), [], path)
+    return _encode(".png", swap_red_blue(_quantise(image, bits, path)), [], path)
 
 
 def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[Any]]]) -> None:
@@ -194,28 +196,21 @@ def write_exr_layers(path: Path, layers: Mapping[str, npt.NDArray[np.floating[An
         OpenEXR.File(header, channels).write(str(partial))
 
 
-def _decode(data: bytes, path: Path) -> FloatArray:
-    if not data:
-        raise ImageFileError(f"{path}: the file is empty; expected an image")
-    if not data.startswith(_SIGNATURES):
-        raise ImageFileError(f"{path}: expected a PNG, JPEG, WebP or Radiance HDR file")
-    if data.startswith(_JPEG_SIGNATURE):
-        # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
-        if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
-            raise ImageFileError(f"{path}: the JPEG is truncated (no end-of-image marker)")
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH  # these flags apply the EXIF orientation
-    else:
-        flags = cv2.IMREAD_UNCHANGED
+def _as_float(pixels: npt.NDArray[Any]) -> FloatArray:
+    if np.issubdtype(pixels.dtype, np.integer):
+        return pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    return pixels.astype(np.float32)
+
+
+def _check_exr_header(path: Path) -> None:
+    """Raise where the header asks for more memory than a picture needs."""
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-    except cv2.error as error:
-        raise ImageFileError(f"{path}: cannot be decoded: {error}") from error
-    if pixels is None:
-        raise ImageFileError(f"{path}: expected a whole image file, got {len(data)} other bytes")
-    image = _swap_red_blue(pixels)
-    if np.issubdtype(image.dtype, np.integer):
-        return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
-    return image.astype(np.float32)
+        with path.open("rb") as file:
+            start = file.read(_EXR_HEADER_BYTES)
+    except OSError as error:
+        raise ImageFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if read_header(start) is not None:  # what else may be wrong, OpenEXR says better
+        check_header(start, str(path))
 
 
 def _encode(suffix: str, pixels: npt.NDArray[Any], options: list[int], path: Path) -> bytes:
@@ -245,14 +240,6 @@ def _quantise(image: FloatArray, bits: int, path: Path) -> npt.NDArray[Any]:
     return np.round(np.clip(image, 0.0, 1.0) * top).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def _swap_red_blue(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """RGB(A) to BGR(A) and back; grey stays."""
-    if pixels.ndim == 2 or pixels.shape[2] < 3:
-        return pixels
-    order = [2, 1, 0, *range(3, pixels.shape[2])]
-    return np.ascontiguousarray(pixels[..., order])
-
-
 def _stack(members: list[tuple[str, Any]], path: Path, layer: str) -> FloatArray:
     members.sort(key=lambda member: _CHANNEL_ORDER.get(member[0], len(_CHANNEL_ORDER)))
     shapes = {pixels.shape for _, pixels in members}
@@ -260,15 +247,6 @@ def _stack(members: list[tuple[str, Any]], path: Path, layer: str) -> FloatArray
         raise ImageFileError(f"{path}: the channels of layer {layer!r} differ in size: {shapes}")
     planes = [np.asarray(pixels, dtype=np.float32) for _, pixels in members]
     return planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ImageFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # a name no file can have
-        raise ImageFileError(f"{path!r}: cannot be read: {error}") from error
 
 
 @contextmanager

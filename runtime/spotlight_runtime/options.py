@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, TypedDict, get_args
 
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.noise import checked_seed
 from spotlight_runtime.sampler import Fidelity
 from spotlight_runtime.solvers import SOLVERS, SolverName
+from spotlight_runtime.window import WindowMode
 from spotlight_spec import BackboneSpec
 
-__all__ = ["RelightOptions"]
+__all__ = ["OptionChanges", "RelightOptions"]
 
 _LIMITS: Final = {
     "gamma": 20.0,
@@ -50,6 +51,10 @@ class RelightOptions:
         the extra is installed.
     batch_branches : bool
         Run both branches in one network call: more memory, and no faster on a CPU.
+    window : {"auto", "frame"}
+        ``auto``: a photograph larger than the backbone was trained at is diffused in a window
+        around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
+        all of it at its own scale, whatever time and memory that takes.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class RelightOptions:
     shadow_opacity: float = 1.0
     denoise: bool | None = None
     batch_branches: bool = False
+    window: WindowMode = "auto"
 
     def __post_init__(self) -> None:
         for name, high in _LIMITS.items():
@@ -86,6 +92,13 @@ class RelightOptions:
             raise InvalidInputError(
                 f"solver: expected one of {', '.join(SOLVERS)}, got {self.solver!r}"
             )
+        if self.window not in get_args(WindowMode):
+            raise InvalidInputError(f"window: expected 'auto' or 'frame', got {self.window!r}")
+
+    @classmethod
+    def of(cls, options: RelightOptions | None, changes: OptionChanges) -> RelightOptions:
+        """The options, or the defaults where there are none, with these changed."""
+        return replace(options or cls(), **changes)
 
     def steps_for(self, spec: BackboneSpec) -> int:
         """Number of denoising steps with this backbone.
@@ -100,3 +113,19 @@ class RelightOptions:
         if steps > most:
             raise InvalidInputError(f"steps: expected a whole number from 1 to {most}, got {steps}")
         return steps
+
+
+class OptionChanges(TypedDict, total=False):
+    """The fields of `RelightOptions` as keywords of a call; see there."""
+
+    gamma: float
+    beta: float
+    seed: int
+    steps: int | None
+    solver: SolverName
+    fidelity: Fidelity
+    guidance_rescale: float
+    shadow_opacity: float
+    denoise: bool | None
+    batch_branches: bool
+    window: WindowMode

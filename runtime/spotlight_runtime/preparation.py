@@ -5,7 +5,8 @@ All randomness of a relight is drawn here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,19 +14,83 @@ from spotlight_runtime.arrays import FloatArray, check_array, pad_edge
 from spotlight_runtime.blending import downsample_antialiased, latent_shadow_mask
 from spotlight_runtime.codec import encode_image
 from spotlight_runtime.conditioning import conditioning_array, rough_composite
+from spotlight_runtime.guides import GuidingShadow
 from spotlight_runtime.noise import gaussian
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.sampler import LoopInputs
 from spotlight_runtime.scene import Scene
 from spotlight_runtime.sessions import Network
+from spotlight_runtime.window import Window, WindowMode, choose_window, look, shrink
 from spotlight_spec import BackboneSpec
 
-__all__ = ["loop_inputs", "prepare"]
+__all__ = ["Prepared", "loop_inputs", "prepare", "prepare_window"]
+
+Pair = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """What is diffused, of a scene and the shadows of one or several lights.
+
+    Attributes
+    ----------
+    scene : Scene
+        The photograph.
+    guides : tuple of GuidingShadow
+        At the photograph's scale, one a light.
+    window : Window
+        One for all lights, so that they can share the pass without shadow.
+    view : Scene
+        The window at the model's scale, its border grown to what the VAE takes.
+    shadows : tuple of (ndarray, ndarray) of float32, shape of the view
+        Positive and negative of each light, cleared under the object.
+    """
+
+    scene: Scene
+    guides: tuple[GuidingShadow, ...]
+    window: Window
+    view: Scene
+    shadows: tuple[Pair, ...]
+
+
+def prepare_window(
+    spec: BackboneSpec, scene: Scene, guides: Sequence[GuidingShadow], mode: WindowMode = "auto"
+) -> Prepared:
+    """Choose the window, and bring the scene and all shadows to the model's scale.
+
+    Parameters
+    ----------
+    spec : BackboneSpec
+    scene : Scene
+    guides : sequence of GuidingShadow
+        Checked against the scene.
+    mode : {"auto", "frame"}
+
+    Returns
+    -------
+    Prepared
+    """
+    drawn = [s for guide in guides for s in (guide.positive, guide.negative) if s is not None]
+    window = choose_window(spec.size, spec.latent.downscale, scene.object_mask, drawn, mode)
+    small = look(scene, window)
+
+    def pair(guide: GuidingShadow) -> tuple[Scene, Pair]:
+        negative = guide.negative
+        return prepare(
+            spec,
+            small,
+            _seen_shadow(guide.positive, scene, window),
+            None if negative is None else _seen_shadow(negative, scene, window),
+        )
+
+    prepared = [pair(guide) for guide in guides]
+    view = prepared[0][0]
+    return Prepared(scene, tuple(guides), window, view, tuple(made for _, made in prepared))
 
 
 def prepare(
     spec: BackboneSpec, scene: Scene, shadow: FloatArray, negative: FloatArray | None
-) -> tuple[Scene, tuple[FloatArray, FloatArray]]:
+) -> tuple[Scene, Pair]:
     """Bring scene and shadows to a size the VAE takes, and clear the shadows under the object.
 
     Parameters
@@ -109,3 +174,13 @@ def loop_inputs(
         initial_noise=noise,
         step_noise=step_noise,
     )
+
+
+def _seen_shadow(shadow: FloatArray, scene: Scene, window: Window) -> FloatArray:
+    """The window's part of a shadow at the model's scale: the mean of what is to be seen of it."""
+    if window.native:
+        return shadow
+    visible = np.float32(1.0) - window.crop(scene.object_mask)
+    small = shrink(np.clip(window.crop(shadow), 0.0, 1.0) * visible, window.size)
+    share = shrink(visible, window.size)
+    return np.clip(np.divide(small, share, out=np.zeros_like(small), where=share > 0.0), 0.0, 1.0)

@@ -1,9 +1,10 @@
-"""From a scene and a guiding shadow to the relit picture.
+"""From a scene and its light to the relit picture.
 
 `Relighter` owns the networks and nothing else; every stage is a pure function of another module::
 
-    scene ─► loop inputs ─► shadow_guided ─► decode ─► denoise ─► compose ─► RelightResult
-                       └──► no-shadow pass ──┘
+    scene, lights ─► guiding shadows ─► window ─► loop inputs ─► guided pass, one a light ─┐
+                                          └───────────────────► pass without shadow ───────┤
+                          RelightResult ◄─ put back ◄─ layers ◄─ develop (decode, denoise) ◄┘
 """
 
 from __future__ import annotations
@@ -11,25 +12,22 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-import numpy as np
-
+from spotlight_runtime import passes
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.codec import decode_latents, encode_conditioning
-from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_srgb
-from spotlight_runtime.composite import compose_picture
-from spotlight_runtime.conditioning import composite_maps, conditioning_array, masked_region
-from spotlight_runtime.denoise import denoise, denoiser_available, require_denoiser
-from spotlight_runtime.models import LazyNetworks, open_networks, predictor, resolve_model
-from spotlight_runtime.options import RelightOptions
-from spotlight_runtime.preparation import loop_inputs, prepare
-from spotlight_runtime.result import PassName, Progress, RelightResult, Stopwatch
-from spotlight_runtime.sampler import LoopInputs, Step, sample, shadow_guided
+from spotlight_runtime.codec import decode_latents
+from spotlight_runtime.colour import decode_to_linear, linear_to_srgb
+from spotlight_runtime.guides import Guide, Negative, guiding_shadows
+from spotlight_runtime.mixing import Mix
+from spotlight_runtime.models import LazyNetworks, open_networks, resolve_model
+from spotlight_runtime.options import OptionChanges, RelightOptions
+from spotlight_runtime.passes import Run
+from spotlight_runtime.preparation import loop_inputs, prepare_window
+from spotlight_runtime.result import Progress, RelightResult, Stopwatch
+from spotlight_runtime.sampler import LoopInputs, Step
 from spotlight_runtime.scene import Scene
-from spotlight_runtime.schedule import Schedule
-from spotlight_runtime.sessions import DEFAULT_PROVIDERS, Network
-from spotlight_runtime.solvers import make_solver
+from spotlight_runtime.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
 from spotlight_spec import BackboneSpec
 
 __all__ = ["Relighter"]
@@ -104,20 +102,27 @@ class Relighter:
     def relight(
         self,
         scene: Scene,
-        shadow: FloatArray,
-        negative: FloatArray | None = None,
+        light: Guide | Sequence[Guide],
+        negative: Negative | None = None,
         options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
     ) -> RelightResult:
-        """Relight the object of a scene by its shadow.
+        """Relight the object of a scene.
 
         Parameters
         ----------
         scene : Scene
-        shadow : ndarray of float32, shape (H, W)
-            Guiding shadow in [0, 1], 1 = fully shadowed. What lies under the object is ignored.
-        negative : ndarray of float32, shape (H, W), optional
-            Shadow of the negative branch: the light opposite, or another drawing. None: no shadow.
+        light : Light, or ndarray of float32 of shape (H, W), or a sequence of them
+            A light, whose guiding shadow is cast; or a ready guiding shadow in [0, 1], 1 = fully
+            shadowed. What lies under the object is ignored. Several lights make one picture, each
+            with its weight and colour (`spotlight_runtime.mixing`); for ready shadows these are
+            given as `GuidingShadow`.
+        negative : Light, ndarray of float32 of shape (H, W), "opposite" or "none", optional
+            What the guidance contrasts with. By default the light opposite; of a ready shadow, no
+            shadow.
         options : RelightOptions, optional
+        **changes
+            Single options by name: ``gamma=3.0, seed=469``.
 
         Returns
         -------
@@ -126,13 +131,13 @@ class Relighter:
         Raises
         ------
         InvalidInputError
-            If a shadow or option is out of its domain.
+            If a light, shadow or option is out of its domain.
         MissingMapError
             If the scene lacks a map the backbone needs.
         NumericalError
             If a network's output is not finite; the message names stage and step.
         """
-        run = self.run(scene, shadow, negative, options)
+        run = self.run(scene, light, negative, options, **changes)
         while True:
             try:
                 next(run)
@@ -140,67 +145,106 @@ class Relighter:
                 result: RelightResult = stop.value
                 return result
 
+    def relight_each(
+        self,
+        scene: Scene,
+        lights: Sequence[Guide],
+        negative: Negative | None = None,
+        options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
+    ) -> list[RelightResult]:
+        """Relight under each light alone: one picture a light, of one window and seed.
+
+        The pass without shadow is run once for all. Parameters are those of `relight`.
+        """
+        made = self.run_each(scene, lights, negative, options, **changes)
+        return [each for each in made if isinstance(each, RelightResult)]
+
     def run(
         self,
         scene: Scene,
-        shadow: FloatArray,
-        negative: FloatArray | None = None,
+        light: Guide | Sequence[Guide],
+        negative: Negative | None = None,
         options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
     ) -> Generator[Progress, None, RelightResult]:
         """Do as `relight`, as a generator that yields after each step and returns the result.
 
         Close it to cancel between two steps.
         """
-        options = options or RelightOptions()
-        denoising = self._denoising(options)  # an error about it now, not after the loop
-        stopwatch = Stopwatch()
-        with stopwatch.stage("prepare"):
-            padded, shadows = prepare(self.spec, scene, shadow, negative)
-        with stopwatch.stage("encode"):
-            inputs = loop_inputs(self._networks, self.spec, padded, shadows, options)
+        run = self._start(scene, light, negative, RelightOptions.of(options, changes))
+        mix = Mix.of(run.prepared.guides)
+        with run.stopwatch.stage("encode"):
+            inputs = [self._inputs(run, number) for number in range(run.lights)]
             self._release("vae_encoder")
-        steps = options.steps_for(self.spec)
-        with stopwatch.stage("condition"):
-            guided = self.trajectory(inputs, options)
-        latents = yield from _drain(guided, "relight", stopwatch, steps)
-        with stopwatch.stage("condition"):
-            plain = self._without_shadow(padded, inputs.initial_noise, options)
-        plain_latents = yield from _drain(plain, "no shadow", stopwatch, steps)
+        latents = []
+        for number, each in enumerate(inputs):
+            latents.append((yield from self._guided(run, number, each)))
+        plain = yield from self._plain(run, inputs[0].initial_noise)
         self._release("condition_encoder", "denoiser", "controlnet", "unet")
-
-        with stopwatch.stage("decode"):
-            predicted = decode_latents(self._networks, self.spec, latents[:1])
-            no_shadow = decode_latents(self._networks, self.spec, plain_latents)
-            self._release("vae_decoder")
-        if denoising == "on":
-            with stopwatch.stage("denoise"):
-                predicted = self._denoise(predicted, padded)
-                no_shadow = self._denoise(no_shadow, padded)
-        with stopwatch.stage("composite"):
-            image = self._compose(padded, shadows[0], predicted, no_shadow, options)
-        crop = np.s_[: scene.size[0], : scene.size[1]]
-        return RelightResult(
-            image=image[crop],
-            prediction=self._to_srgb(predicted)[crop],
-            no_shadow=self._to_srgb(no_shadow)[crop],
-            options=replace(options, steps=steps),
-            evaluations=steps * (len(shadows) + 1),
-            timings=stopwatch.seconds,
-            denoised=denoising,
-            model=self._model,
+        predicted = [self._develop(run, z) for z in latents]
+        no_shadow = self._develop(run, plain)
+        self._release("vae_decoder")
+        return passes.result(
+            self.spec, run, predicted, no_shadow, mix, 2 * run.lights + 1, self._model
         )
+
+    def run_each(
+        self,
+        scene: Scene,
+        lights: Sequence[Guide],
+        negative: Negative | None = None,
+        options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
+    ) -> Generator[Progress | RelightResult, None, None]:
+        """Do as `relight_each`, as a generator of progress and, as each is done, results.
+
+        A caller that keeps none of them needs room for one.
+        """
+        run = self._start(scene, lights, negative, RelightOptions.of(options, changes))
+        no_shadow: FloatArray | None = None
+        for number in range(run.lights):
+            with run.stopwatch.stage("encode"):
+                inputs = self._inputs(run, number)
+            branches = 2
+            if no_shadow is None:
+                plain = yield from self._plain(run, inputs.initial_noise)
+                no_shadow, branches = self._develop(run, plain), 3
+            latents = yield from self._guided(run, number, inputs)
+            alone = run.only(number)
+            mix, predicted = Mix.of(alone.prepared.guides), [self._develop(run, latents)]
+            yield passes.result(self.spec, alone, predicted, no_shadow, mix, branches, self._model)
+        self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
+
+    def preview_of(self, progress: Progress) -> FloatArray:
+        """What the renderer thinks the picture will be, at a step of a pass.
+
+        Parameters
+        ----------
+        progress : Progress
+            As `run` yields it.
+
+        Returns
+        -------
+        ndarray of float32, shape (h, w, 3)
+            What is in ``progress.window``, at the model's scale; sRGB-encoded, in [0, 1].
+        """
+        encoded = decode_latents(self._networks, self.spec, progress.step.denoised[:1])
+        height, width = progress.window.size
+        linear = decode_to_linear(encoded[:height, :width], self.spec.image_encoding)
+        return linear_to_srgb(linear)
 
     def loop_inputs(
         self,
         scene: Scene,
-        shadow: FloatArray,
-        negative: FloatArray | None = None,
+        light: Guide,
+        negative: Negative | None = None,
         options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
-        options = options or RelightOptions()
-        padded, shadows = prepare(self.spec, scene, shadow, negative)
-        return loop_inputs(self._networks, self.spec, padded, shadows, options)
+        run = self._start(scene, light, negative, RelightOptions.of(options, changes))
+        return self._inputs(run, 0)
 
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
@@ -211,89 +255,45 @@ class Relighter:
         implementation's arrays this replays its trajectory. Of the options, gamma, beta, steps,
         solver, fidelity (noise level of the blend), guidance_rescale and batch_branches apply.
         """
-        options = options or RelightOptions()
-        predict = predictor(
-            self._networks,
-            encode_conditioning(self._networks, inputs.conditioning),
-            self.spec.schedule,
-            batch_branches=options.batch_branches,
-        )
-        return shadow_guided(
-            predict,
-            inputs,
-            make_solver(options.solver, self._schedule(options)),
-            gamma=options.gamma,
-            beta=options.beta,
-            guidance_rescale=options.guidance_rescale,
-            fidelity=options.fidelity,
-        )
+        return passes.guided_pass(self._networks, self.spec, inputs, options or RelightOptions())
 
-    def _schedule(self, options: RelightOptions) -> Schedule:
-        return Schedule.trailing(self.spec.schedule, options.steps_for(self.spec))
-
-    def _without_shadow(
-        self, scene: Scene, noise: FloatArray, options: RelightOptions
-    ) -> Iterator[Step]:
-        """The renderer alone: same noise, shading hidden under the object only."""
-        conditioning = conditioning_array(self.spec, scene, np.zeros_like(scene.object_mask))
-        condition = encode_conditioning(self._networks, conditioning[None])
-        predict = predictor(self._networks, condition, self.spec.schedule)
-        return sample(predict, noise, make_solver(options.solver, self._schedule(options)))
-
-    def _denoising(self, options: RelightOptions) -> str:
-        if options.denoise is False:
-            return "off: not wanted"
-        if options.denoise:
-            require_denoiser()
-            return "on"
-        if not self.spec.noisy_renders:
-            return "off: the backbone was trained on clean renders"
-        if not denoiser_available():
-            return "off: Open Image Denoise is not installed (extra 'denoise')"
-        return "on"
-
-    def _denoise(self, encoded: FloatArray, scene: Scene) -> FloatArray:
-        maps = composite_maps(scene, tuple(n for n in ("albedo", "normal") if scene.has_map(n)))
-        linear = decode_to_linear(encoded, self.spec.image_encoding)
-        clean = denoise(linear, maps.get("albedo"), maps.get("normal"))
-        return encode_linear(clean, self.spec.image_encoding)
-
-    def _compose(
+    def _start(
         self,
         scene: Scene,
-        shadow: FloatArray,
-        predicted: FloatArray,
-        no_shadow: FloatArray,
+        light: Guide | Sequence[Guide],
+        negative: Negative | None,
         options: RelightOptions,
-    ) -> FloatArray:
-        background = np.clip(encode_linear(scene.background, self.spec.image_encoding), 0.0, 1.0)
-        region = masked_region(shadow, scene.object_mask)
-        composed, untouched = compose_picture(
-            background,
-            predicted,
-            no_shadow,
-            scene.object_mask,
-            region if options.fidelity == "paper" else None,
-        )
-        # Going through the backbone's encoding and back rounds; what is untouched stays exact.
-        kept = linear_to_srgb(scene.background)
-        return np.where(untouched[..., None], kept, self._to_srgb(composed))
+    ) -> Run:
+        denoised = passes.denoising(self.spec, options)  # an error about it now, not after the loop
+        steps = options.steps_for(self.spec)
+        stopwatch = Stopwatch()
+        with stopwatch.stage("prepare"):
+            guides = guiding_shadows(scene, light, negative)
+            prepared = prepare_window(self.spec, scene, guides, options.window)
+        return Run(prepared, replace(options, steps=steps), steps, denoised, stopwatch)
 
-    def _to_srgb(self, encoded: FloatArray) -> FloatArray:
-        return linear_to_srgb(decode_to_linear(encoded, self.spec.image_encoding))
+    def _inputs(self, run: Run, number: int) -> LoopInputs:
+        prepared = run.prepared
+        shadows = prepared.shadows[number]
+        return loop_inputs(self._networks, self.spec, prepared.view, shadows, run.options)
+
+    def _guided(
+        self, run: Run, number: int, inputs: LoopInputs
+    ) -> Generator[Progress, None, FloatArray]:
+        with run.stopwatch.stage("condition"):
+            trajectory = passes.guided_pass(self._networks, self.spec, inputs, run.options)
+        return (yield from run.drain(trajectory, "relight", number))
+
+    def _plain(self, run: Run, noise: FloatArray) -> Generator[Progress, None, FloatArray]:
+        view = run.prepared.view
+        with run.stopwatch.stage("condition"):
+            trajectory = passes.plain_pass(self._networks, self.spec, view, noise, run.options)
+        return (yield from run.drain(trajectory, "no shadow", 0))
+
+    def _develop(self, run: Run, latents: FloatArray) -> FloatArray:
+        denoised, view = run.denoised == "on", run.prepared.view
+        return passes.develop(self._networks, self.spec, view, latents, denoised, run.stopwatch)
 
     def _release(self, *names: str) -> None:
         if self._low_memory and isinstance(self._networks, LazyNetworks):
             self._networks.release(*names)
-
-
-def _drain(
-    trajectory: Iterator[Step], stage: PassName, stopwatch: Stopwatch, steps: int
-) -> Generator[Progress, None, FloatArray]:
-    """Yield progress of a pass and return its final latents; the caller's time is not counted."""
-    while True:
-        with stopwatch.stage(stage):
-            step = next(trajectory)
-        yield Progress(stage, step, steps)
-        if step.index == steps - 1:
-            return step.latents

@@ -10,8 +10,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.guides import GuidingShadow
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.sampler import Step
+from spotlight_runtime.window import Window
 
 __all__ = ["PassName", "Progress", "RelightResult", "Stopwatch", "peak_memory_bytes"]
 
@@ -20,11 +22,28 @@ PassName = Literal["relight", "no shadow"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Progress:
-    """Where a relight is: the pass, its latest step (decode it for a preview), its steps in all."""
+    """Where a relight is.
+
+    Attributes
+    ----------
+    stage : {"relight", "no shadow"}
+        The pass.
+    step : Step
+        Its latest step; `Relighter.preview_of` shows it.
+    steps : int
+        How many the pass has.
+    light, lights : int
+        Which light the pass is for, from 0, of how many; the pass without shadow is for all.
+    window : Window
+        What part of the photograph is diffused.
+    """
 
     stage: PassName
     step: Step
     steps: int
+    light: int
+    lights: int
+    window: Window
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,10 +53,10 @@ class RelightResult:
     Attributes
     ----------
     image : ndarray of float32, shape (H, W, 3)
-        The picture, sRGB-encoded, in [0, 1].
-    prediction, no_shadow : ndarray of float32, shape (H, W, 3)
+        The picture at the photograph's size, sRGB-encoded, in [0, 1].
+    prediction, no_shadow : ndarray of float32, shape (h, w, 3)
         The renderer's own pictures with and without the guiding shadow, before they are composed
-        with the background; sRGB-encoded, in [0, 1].
+        with the background: what is in the window, at the model's scale; sRGB-encoded, in [0, 1].
     options : RelightOptions
         As used, with nothing left to default.
     evaluations : int
@@ -46,6 +65,10 @@ class RelightResult:
         Seconds by stage.
     denoised : str
         ``on``, or why not.
+    window : Window
+        What part of the photograph was diffused, and at what size.
+    guides : tuple of GuidingShadow
+        The shadows that guided, one a light.
     model : dict
         Facts about the model.
     """
@@ -57,6 +80,8 @@ class RelightResult:
     evaluations: int
     timings: dict[str, float]
     denoised: str
+    window: Window
+    guides: tuple[GuidingShadow, ...]
     model: dict[str, Any] = field(default_factory=dict)
 
     def report(self) -> dict[str, Any]:
@@ -64,6 +89,8 @@ class RelightResult:
         return {
             "model": self.model,
             "size": {"width": self.image.shape[1], "height": self.image.shape[0]},
+            "window": asdict(self.window),
+            "lights": len(self.guides),
             "options": asdict(self.options),
             "evaluations": self.evaluations,
             "denoised": self.denoised,

@@ -31,7 +31,7 @@ TYPES = {"float32": TensorProto.FLOAT, "int64": TensorProto.INT64}
 def tiny_spec(backbone: str = "zerocomp-openrooms", steps: int = 4) -> BackboneSpec:
     """A published spec with few steps."""
     spec = BACKBONES[backbone]
-    return replace(spec, schedule=replace(spec.schedule, steps=steps), size=64)
+    return replace(spec, schedule=replace(spec.schedule, steps=steps), size=96)
 
 
 def write_backbone(

@@ -15,7 +15,9 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
     ├── MissingMapError (LookupError)        the scene lacks a map the backbone needs
     ├── ImageFileError (OSError)             an image that cannot be read or written
     ├── SceneError (ValueError)              a scene bundle that is not one
-    │   └── UnsafePathError                  a path that leaves the bundle
+    │   └── UnsafePathError                  a path that leaves the bundle or the model's folder
+    ├── ProductError (ValueError)            a 3-D model or cut-out that cannot be used
+    ├── PlacementError (ValueError)          an object that cannot be put where it was asked
     ├── ModelError (RuntimeError)
     │   ├── UnknownModelError (LookupError)  no such model here
     │   ├── ModelIntegrityError              files that do not match the manifest
@@ -40,8 +42,11 @@ __all__ = [
     "ModelIntegrityError",
     "NonFiniteError",
     "NumericalError",
+    "PlacementError",
+    "ProductError",
     "ProviderError",
     "SceneError",
+    "ShadowWarning",
     "ShapeError",
     "SpotLightError",
     "UnknownModelError",
@@ -73,6 +78,10 @@ class LightError(InvalidInputError):
     """A light stands where none can be: below the floor, or in the object."""
 
 
+class ShadowWarning(UserWarning):
+    """Next to nothing of a shadow is seen; the message says why."""
+
+
 class DtypeError(SpotLightError, TypeError):
     """An array has the wrong element type."""
 
@@ -90,7 +99,15 @@ class SceneError(SpotLightError, ValueError):
 
 
 class UnsafePathError(SceneError):
-    """A file named by a scene lies outside its bundle."""
+    """A file named by a scene or a model lies outside its folder."""
+
+
+class ProductError(SpotLightError, ValueError):
+    """A 3-D model or a cut-out cannot be used as the object."""
+
+
+class PlacementError(SpotLightError, ValueError):
+    """The object cannot be put where it was asked: out of the frame, behind the camera, hidden."""
 
 
 class ModelError(SpotLightError, RuntimeError):

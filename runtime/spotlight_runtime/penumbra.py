@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from spotlight_runtime.aim import Cone, cone_of, probes, spiral
 from spotlight_runtime.arrays import BoolArray, FloatArray
-from spotlight_runtime.backdrop import Backdrop
+from spotlight_runtime.obstacle import Obstacle
 from spotlight_runtime.occluder import Occluder
 from spotlight_runtime.placement import PlacedLight
 from spotlight_runtime.receiver import Receiver
@@ -46,7 +46,7 @@ def trace(
     pixels: _Pixels,
     light: PlacedLight,
     occluder: Occluder,
-    backdrop: Backdrop,
+    obstacle: Obstacle,
     samples: int,
 ) -> FloatArray:
     """Cast an occluder's shadow on some pixels of a receiver.
@@ -58,7 +58,7 @@ def trace(
         Flat indices of the pixels that can be reached; elsewhere there is no shadow.
     light : PlacedLight
     occluder : Occluder
-    backdrop : Backdrop
+    obstacle : Obstacle
     samples : int
         Rays a pixel where the shadow is partial.
 
@@ -79,15 +79,15 @@ def trace(
     mixed = (high != low).flat[pixels] | ((hits > 0) & (hits < most))
     touched = np.flatnonzero((hits > 0) | mixed)
     hidden = np.zeros(len(pixels), dtype=np.uint8)
-    hidden[touched], most_hidden = _hidden(cone.take(touched), backdrop, light.radius == 0.0)
+    hidden[touched], most_hidden = _hidden(cone.take(touched), obstacle, light.radius == 0.0)
     dark = hidden == most_hidden
     shadow.flat[pixels[(hits == most) & ~dark]] = 1.0
     partly = (hidden > 0) & ~dark
 
     def sample(rows: _Pixels) -> FloatArray:
         values = np.empty(len(rows), dtype=np.float32)
-        for group, obstacle in ((~partly[rows], None), (partly[rows], backdrop)):
-            values[group] = _sample(cone.take(rows[group]), occluder, obstacle, samples)
+        for group, way in ((~partly[rows], None), (partly[rows], obstacle)):
+            values[group] = _sample(cone.take(rows[group]), occluder, way, samples)
         return values
 
     _fill(shadow, receiver.inverse_depth, pixels, np.flatnonzero(mixed & ~dark), sample)
@@ -103,26 +103,26 @@ def _probe(cone: Cone, occluder: Occluder, hard: bool) -> tuple[npt.NDArray[np.u
     return hits, len(chosen)
 
 
-def _hidden(cone: Cone, backdrop: Backdrop, hard: bool) -> tuple[npt.NDArray[np.uint8], int]:
+def _hidden(cone: Cone, obstacle: Obstacle, hard: bool) -> tuple[npt.NDArray[np.uint8], int]:
     """The same for the background in the way, or turned away from the light."""
     hits = np.zeros(len(cone.patch.normals), dtype=np.uint8)
     chosen = list(probes(hard))[:: 1 if hard else 2]
     for probe in chosen:
         origins, directions = cone.rays(probe)
         away = cone.irradiance(probe, directions) <= 0.0
-        hits += away | backdrop.hides(cone, origins, directions)
+        hits += away | obstacle.hides(cone, origins, directions)
     return hits, len(chosen)
 
 
-def _sample(cone: Cone, occluder: Occluder, backdrop: Backdrop | None, samples: int) -> FloatArray:
+def _sample(cone: Cone, occluder: Occluder, obstacle: Obstacle | None, samples: int) -> FloatArray:
     """1 − with/without of every pixel of a cone, shape (P,)."""
     without = np.zeros(len(cone.patch.normals), dtype=np.float32)
     taken = np.zeros_like(without)
     for sample in spiral(samples):
         origins, directions = cone.rays(sample)
         light = cone.irradiance(sample, directions)
-        if backdrop is not None:
-            light[backdrop.hides(cone, origins, directions)] = 0.0
+        if obstacle is not None:
+            light[obstacle.hides(cone, origins, directions)] = 0.0
         without += light
         taken += light * occluder.blocks(origins, directions, cone.reach)
     return np.divide(taken, without, out=np.zeros_like(taken), where=without > 0.0)

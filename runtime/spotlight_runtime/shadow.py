@@ -13,10 +13,10 @@ from typing import final
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.backdrop import Backdrop
 from spotlight_runtime.errors import GroundError, InvalidInputError, ShadowWarning
 from spotlight_runtime.ground import Ground, fit_ground
 from spotlight_runtime.lights import Light
+from spotlight_runtime.obstacle import Obstacle
 from spotlight_runtime.occluder import Occluder, require_ray_casting
 from spotlight_runtime.penumbra import SAMPLES, trace
 from spotlight_runtime.placement import box_of, place_light
@@ -106,7 +106,7 @@ class ShadowCaster:
         self._mesh = scene.object_mesh or relief_mesh(scene, receiver, self._ground)
         self._box = box_of(self._mesh, self._ground)
         self._occluder = Occluder(self._mesh.vertices, self._mesh.faces)
-        self._backdrop = Backdrop(receiver, self._box.middle)
+        self._obstacle = Obstacle(receiver, self._box.middle)
 
     def cast(self, light: Light, *, samples: int | None = None) -> CastShadow:
         """Cast the shadow of one light; see `cast_shadow`."""
@@ -121,7 +121,7 @@ class ShadowCaster:
         mask = self._scene.object_mask
         pixels = reachable(self._receiver, placed, self._box, mask)
         shadow = trace(
-            self._receiver, pixels, placed, self._occluder, self._backdrop, samples or SAMPLES
+            self._receiver, pixels, placed, self._occluder, self._obstacle, samples or SAMPLES
         )
         shadow *= np.clip(1.0 - mask, 0.0, 1.0)
         return CastShadow(shadow, why_unseen(shadow, self._scene, self._mesh, placed, self._ground))

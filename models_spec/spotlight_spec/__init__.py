@@ -3,7 +3,13 @@
 from spotlight_spec.backbone import BackboneSpec, LatentSpec, MapSpec, ScheduleSpec, ShadingSpec
 from spotlight_spec.catalogue import BACKBONES
 from spotlight_spec.files import replacing
-from spotlight_spec.graph import GraphContract, GraphLayout, TensorSpec, graph_contracts
+from spotlight_spec.graph import (
+    GraphContract,
+    GraphLayout,
+    TensorSpec,
+    graph_contracts,
+    intrinsics_contract,
+)
 from spotlight_spec.manifest import (
     MANIFEST_NAME,
     FileEntry,
@@ -35,6 +41,7 @@ __all__ = [
     "decode",
     "encode",
     "graph_contracts",
+    "intrinsics_contract",
     "read_json",
     "replacing",
     "sha256_of",

@@ -55,7 +55,7 @@ BACKBONES: Final[dict[str, BackboneSpec]] = {
             name="mini",
             title="SpotLight mini: the embedded renderer, 256 px",
             maps=(DEPTH, NORMAL, ALBEDO, SHADING, MASK, ROUGHNESS, METALLIC),
-            latent=LatentSpec(channels=8, downscale=8, scaling_factor=1.0),
+            latent=LatentSpec(channels=16, downscale=8, scaling_factor=1.0),
             schedule=ScheduleSpec(set_alpha_to_one=True),
             conditioning_layout="latent_concat",
             size=256,

@@ -12,6 +12,9 @@ Whatever the backbone, inference needs the same four computations; only what hap
 ``vae_decoder``
     latents → image.
 
+A model may bring a fifth graph, ``intrinsics``: photograph → albedo, normals and depth, for
+pictures that come without maps.
+
 A ControlNet backbone can also be exported ``split``: the ``denoiser`` is then two graphs,
 ``controlnet`` (→ residuals) and ``unet`` (residuals →), for machines that cannot hold both.
 """
@@ -23,11 +26,23 @@ from typing import Literal
 
 from spotlight_spec.backbone import BackboneSpec
 
-__all__ = ["GraphContract", "GraphLayout", "TensorSpec", "graph_contracts"]
+__all__ = [
+    "GraphContract",
+    "GraphLayout",
+    "TensorSpec",
+    "graph_contracts",
+    "intrinsics_contract",
+]
 
 GraphLayout = Literal["fused", "split"]
 GraphName = Literal[
-    "vae_encoder", "vae_decoder", "condition_encoder", "denoiser", "controlnet", "unet"
+    "vae_encoder",
+    "vae_decoder",
+    "condition_encoder",
+    "denoiser",
+    "controlnet",
+    "unet",
+    "intrinsics",
 ]
 
 
@@ -149,5 +164,28 @@ def graph_contracts(
             "vae_decoder",
             (TensorSpec("latents", "float32", latent, "latents divided by the scaling factor"),),
             (TensorSpec("image", "float32", image, "encoded image, nominally in [-1, 1]"),),
+        ),
+    )
+
+
+def intrinsics_contract() -> GraphContract:
+    """Contract of an estimator of intrinsic maps; image sides are multiples of 32."""
+    return GraphContract(
+        "intrinsics",
+        (
+            TensorSpec(
+                "image",
+                "float32",
+                ("batch", 3, "height", "width"),
+                "photograph, sRGB or gamma-2.2 encoded, in [0, 1]",
+            ),
+        ),
+        (
+            TensorSpec(
+                "maps",
+                "float32",
+                ("batch", 7, "height", "width"),
+                "albedo in [0, 1]; unit normal, camera space; depth > 0 up to scale",
+            ),
         ),
     )

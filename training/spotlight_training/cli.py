@@ -147,7 +147,7 @@ def pack(
 Data = Annotated[Path, typer.Option("--data", help="Packed training scenes.")]
 HeldOut = Annotated[Path, typer.Option("--held-out", help="Packed validation scenes.")]
 Run = Annotated[Path, typer.Option("--run", help="Folder of the run; an old run goes on.")]
-Steps = Annotated[int, typer.Option(help="Optimiser steps in all.")]
+Steps = Annotated[int, typer.Option(min=0, help="Optimiser steps in all.")]
 Minutes = Annotated[float | None, typer.Option(help="Stop after so long, to go on later.")]
 BatchSize = Annotated[int, typer.Option("--batch", help="Samples a step.")]
 LearningRate = Annotated[float, typer.Option(help="Peak learning rate.")]
@@ -155,6 +155,10 @@ Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 Threads = Annotated[int, typer.Option(help="Threads that prepare batches.")]
 Seed = Annotated[int, typer.Option(help="Of weights, samples and noise.")]
 Width = Annotated[int, typer.Option(help="Channels of the first level.")]
+Side = Annotated[int, typer.Option(min=32, max=256, help="Side of the training pictures.")]
+Start = Annotated[
+    Path | None, typer.Option("--start", help="Run whose weights a new run starts from.")
+]
 
 
 @app.command()
@@ -169,14 +173,16 @@ def vae(
     device: Device = "cpu",
     threads: Threads = 1,
     seed: Seed = 0,
-    latent: Annotated[int, typer.Option(help="Latent channels.")] = 12,
-    width: Width = 96,
+    latent: Annotated[int, typer.Option(help="Latent channels.")] = 16,
+    width: Width = 64,
+    side: Side = 128,
+    start: Start = None,
 ) -> None:
     """Train the autoencoder; the run folder has loss curve and sample sheet as it goes."""
     from . import runs
 
     options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
-    runs.train_vae(data, held_out, run, options, latent=latent, width=width)
+    runs.train_vae(data, held_out, run, options, latent=latent, width=width, side=side, start=start)
 
 
 @app.command()
@@ -192,13 +198,15 @@ def renderer(
     device: Device = "cpu",
     threads: Threads = 1,
     seed: Seed = 0,
-    width: Width = 96,
+    width: Width = 64,
+    side: Side = 256,
+    start: Start = None,
 ) -> None:
     """Train the latent renderer over a trained autoencoder."""
     from . import runs
 
     options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
-    runs.train_renderer(data, held_out, vae_run, run, options, width=width)
+    runs.train_renderer(data, held_out, vae_run, run, options, width=width, side=side, start=start)
 
 
 @app.command()
@@ -254,7 +262,8 @@ def main() -> None:
     try:
         app()
     except (ValueError, KeyError, FileNotFoundError, RuntimeError, ImportError) as error:
-        message = str(error.args[0]) if error.args else str(error)
+        # A KeyError's text is its argument's repr, an OSError's first argument a mere number.
+        message = str(error.args[0]) if isinstance(error, KeyError) else str(error)
         if isinstance(error, ImportError):
             message += ". Install what it needs: pip install 'spotlight-relight[training]'"
         typer.echo(f"spotlight-train: {message}", err=True)

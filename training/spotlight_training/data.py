@@ -1,17 +1,24 @@
-"""Rendered scenes as training samples.
+"""Rendered scenes packed for training, and the samples drawn from them.
 
 `pack` turns scene records into one memory-mapped file a split, because decoding a record takes
-longer than a training step; `RendererData` and `PictureData` draw samples from it. Every sample is
-another lighting: one of the scene's lights (sometimes two) over its ambient light, with random
-strength, warmth and exposure, flipped half of the time.
+longer than a training step; `draw_picture` lights, crops and flips a packed scene at random, and
+`PictureData`, `RendererData` and `IntrinsicsData` make samples of that.
+
+Every picture is another lighting: one of the scene's lights (sometimes two) over its ambient
+light, with random strength, warmth and exposure. Where one light alone lit everything, the
+background's shading would tell the renderer where it is, and the object's own shadow would tell it
+nothing new. So some pictures are composites, as SpotLight's results are: the object and its shadow
+under one light, laid over the background under another by the ratio of the background with and
+without the object. What then agrees with the object's shading is its shadow.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -19,13 +26,26 @@ from spotlight_runtime.conditioning import stack_maps
 from spotlight_spec import BackboneSpec
 from spotlight_training.masks import random_mask
 
-__all__ = ["Packed", "PictureData", "RendererData", "pack"]
+__all__ = [
+    "IntrinsicsData",
+    "Packed",
+    "Picture",
+    "PictureData",
+    "RendererData",
+    "draw_picture",
+    "pack",
+]
 
 FloatArray = npt.NDArray[np.float32]
 
-SIDE = 256
-LIGHTS = 4
-_MAPS = ("albedo", "normal", "depth", "roughness", "metallic")
+SIDE: Final = 256
+LIGHTS: Final = 4
+COMPOSITES: Final = 0.4
+"""Share of pictures whose background is lit by another light than the object."""
+TWO_LIGHTS: Final = 0.15
+SMALLEST_CROP: Final = 0.6
+"""Of the scene's side; objects fill a third to a half of it."""
+_UNIT_MAPS = ("albedo", "normal", "roughness", "metallic")
 
 
 def _scene_dtype(side: int, lights: int) -> np.dtype[Any]:
@@ -40,7 +60,9 @@ def _scene_dtype(side: int, lights: int) -> np.dtype[Any]:
             ("metallic", np.uint8, plane),
             ("object_mask", np.uint8, plane),
             ("ambient", np.float16, colour),
+            ("ambient_background", np.float16, colour),
             ("lights", np.float16, (lights, *colour)),
+            ("lights_background", np.float16, (lights, *colour)),
             ("ambient_weight", np.float32),
         ]
     )
@@ -102,9 +124,13 @@ def _packed(record: Any, side: int, lights: int) -> npt.NDArray[Any]:
     scene["roughness"] = _eight_bit(maps.roughness)
     scene["metallic"] = _eight_bit(maps.metallic)
     scene["object_mask"] = _eight_bit(record.object.alpha)
-    scene["ambient"] = np.minimum(record.ambient, 6e4)
-    images = list(record.lights.values())[:lights]
-    scene["lights"] = np.minimum(np.stack([images[i % len(images)] for i in range(lights)]), 6e4)
+    scene["ambient"] = record.ambient
+    scene["ambient_background"] = record.ambient_background
+    for name, images in (
+        ("lights", list(record.lights.values())),
+        ("lights_background", list(record.lights_background.values())),
+    ):
+        scene[name] = np.stack([images[i % len(images)] for i in range(lights)])
     scene["ambient_weight"] = float(np.mean(record.description.ambient.weight))
     return scene
 
@@ -118,9 +144,11 @@ class Packed:
 
     def __init__(self, path: Path, *, lights: int = LIGHTS, side: int = SIDE) -> None:
         dtype = _scene_dtype(side, lights)
-        if not path.is_file() or path.stat().st_size < dtype.itemsize:
+        size = path.stat().st_size if path.is_file() else 0
+        if size < dtype.itemsize or size % dtype.itemsize:
             raise FileNotFoundError(
-                f"{path}: expected packed scenes, found none; make them with 'spotlight-train pack'"
+                f"{path}: expected packed scenes of {side}×{side} pixels and {lights} lights, "
+                "found none; make them with 'spotlight-train pack'"
             )
         self._scenes = np.memmap(path, dtype=dtype, mode="r")
 
@@ -130,68 +158,132 @@ class Packed:
     def __getitem__(self, index: int) -> Any:
         return self._scenes[index]
 
+    def draw(self, rng: np.random.Generator, side: int, smallest: float = SMALLEST_CROP) -> Picture:
+        """Draw a picture of any of the scenes; see `draw_picture`."""
+        return draw_picture(self[int(rng.integers(len(self)))], rng, side, smallest)
+
 
 @dataclass(frozen=True)
 class Picture:
-    """One lighting of one scene: gamma-2.2 image and maps, float32, (H, W[, C])."""
+    """One lighting of one scene: gamma-2.2 image and maps, float32, (side, side[, C])."""
 
     image: FloatArray
     maps: dict[str, FloatArray]
     object_mask: FloatArray
 
 
-def draw_picture(scene: Any, rng: np.random.Generator) -> Picture:
-    """Light a packed scene at random, and flip it half of the time."""
-    radiance = scene["ambient"].astype(np.float32) * (
-        scene["ambient_weight"] * np.exp(rng.normal(0.0, 0.4))
-    )
-    chosen = rng.permutation(len(scene["lights"]))[: 2 if rng.random() < 0.15 else 1]
-    for light in chosen:
-        warmth = np.exp(rng.normal(0.0, 0.12) * np.float32([1.0, 0.0, -1.0]))
-        strength = np.exp(rng.normal(0.0, 0.3)) * warmth / len(chosen)
-        radiance = radiance + scene["lights"][light].astype(np.float32) * strength
-    bright = float(np.percentile(radiance.max(axis=2), 95))
+def draw_picture(
+    scene: Any, rng: np.random.Generator, side: int = SIDE, smallest: float = SMALLEST_CROP
+) -> Picture:
+    """Crop, light and flip a packed scene at random.
+
+    Parameters
+    ----------
+    scene : numpy.void
+        A row of `Packed`.
+    rng : numpy.random.Generator
+    side : int
+        Of the picture; crops are never enlarged.
+    smallest : float
+        Smallest crop, as a share of the scene's side.
+    """
+    full = scene["object_mask"].shape[0]
+    size = int(rng.integers(max(side, int(smallest * full)), full + 1))
+    window = _crop(scene["object_mask"], rng, size)
+
+    def cut(name: str, *index: int) -> FloatArray:
+        pixels = scene[name][(*index, *window)].astype(np.float32)
+        if pixels.shape[0] != side:
+            pixels = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_AREA)
+        return pixels
+
+    maps = {name: cut(name) / np.float32(255.0) for name in _UNIT_MAPS}
+    normal = np.float32(2.0) * maps["normal"] - np.float32(1.0)
+    maps["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-3)
+    maps["depth"] = cut("depth")
+    mask = cut("object_mask") / np.float32(255.0)
+    radiance = _light(scene, rng, cut, mask)
+    bright = float(np.percentile(radiance[::4, ::4].max(axis=2), 95))
     exposure = np.clip(0.9 / max(bright, 1e-6), 0.25, 4.0) * np.exp(rng.normal(0.0, 0.2))
-    image = np.clip(radiance * exposure, 0.0, 1.0) ** np.float32(1 / 2.2)
-    maps = {
-        name: scene[name].astype(np.float32) / np.float32(1.0 if name == "depth" else 255.0)
-        for name in _MAPS
-    }
-    maps["normal"] = np.float32(2.0) * maps["normal"] - np.float32(1.0)
-    mask = scene["object_mask"].astype(np.float32) / 255.0
+    image = np.clip(radiance * np.float32(exposure), 0.0, 1.0) ** np.float32(1 / 2.2)
+    # Light is transported channel by channel, so any order of the channels is a true picture too.
+    order = rng.permutation(3)
+    image, maps["albedo"] = image[..., order], maps["albedo"][..., order]
     if rng.random() < 0.5:
         image, mask = image[:, ::-1], mask[:, ::-1]
         maps = {name: value[:, ::-1] for name, value in maps.items()}
         maps["normal"] = maps["normal"] * np.float32([-1.0, 1.0, 1.0])
-    return Picture(image.astype(np.float32), maps, mask)
+    return Picture(np.ascontiguousarray(image), maps, np.ascontiguousarray(mask))
+
+
+def _crop(mask: npt.NDArray[np.uint8], rng: np.random.Generator, size: int) -> tuple[slice, slice]:
+    """A square window; it holds the object's box where that fits."""
+    full = mask.shape[0]
+    window = []
+    for axis in (1, 0):
+        covered = np.flatnonzero(mask.max(axis=axis))
+        low, high = (covered[0], covered[-1] + 1) if covered.size else (0, 0)
+        first, last = max(0, high - size), min(low, full - size)
+        if first > last:
+            first, last = 0, full - size
+        start = int(rng.integers(first, last + 1))
+        window.append(slice(start, start + size))
+    return window[0], window[1]
+
+
+def _light(scene: Any, rng: np.random.Generator, cut: Any, mask: FloatArray) -> FloatArray:
+    """Linear radiance of the crop under a random lighting; see the module's docstring."""
+    order = rng.permutation(len(scene["lights"]))
+    count = 2 if rng.random() < TWO_LIGHTS else 1
+    ambient = float(scene["ambient_weight"]) * np.exp(rng.normal(0.0, 0.4))
+
+    def strengths() -> FloatArray:
+        warmth = np.exp(rng.normal(0.0, 0.12, (count, 1)) * np.float32([1.0, 0.0, -1.0]))
+        return (np.exp(rng.normal(0.0, 0.3, (count, 1))) * warmth / count).astype(np.float32)
+
+    def lit(suffix: str, lights: npt.NDArray[np.int64], weights: FloatArray) -> FloatArray:
+        total = np.float32(ambient) * cut(f"ambient{suffix}")
+        for light, weight in zip(lights, weights):
+            total = total + weight * cut(f"lights{suffix}", int(light))
+        return total
+
+    chosen, weights = order[:count], strengths()
+    radiance = lit("", chosen, weights)
+    if rng.random() >= COMPOSITES:
+        return radiance
+    alone = lit("_background", chosen, weights)
+    ratio = np.clip((radiance.mean(axis=2) + 1e-4) / (alone.mean(axis=2) + 1e-4), 0.0, 1.0)
+    background = lit("_background", order[-count:], strengths())
+    cover = mask[..., None]
+    return cover * radiance + (1 - cover) * background * ratio[..., None]
 
 
 class PictureData:
-    """Images in [−1, 1] for the VAE: pictures, and the maps it will have to encode."""
+    """Images in [−1, 1] for the VAE: pictures, and the albedo it will have to encode.
 
-    def __init__(self, packed: Packed) -> None:
-        self._packed = packed
+    Half of the crops keep the scene's own pixels, for detail; the others are shrunk.
+    """
+
+    def __init__(self, packed: Packed, side: int = SIDE) -> None:
+        self._packed, self._side = packed, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Draw one sample: ``image`` of shape (3, H, W)."""
-        picture = draw_picture(self._packed[int(rng.integers(len(self._packed)))], rng)
-        kind = rng.random()
-        if kind < 0.7:
-            return {"image": _chw(2.0 * picture.image - 1.0)}
-        if kind < 0.85:
-            return {"image": _chw(2.0 * picture.maps["albedo"] - 1.0)}
-        return {"image": _chw(picture.maps["normal"])}
+        """Draw one sample: ``image`` of shape (3, side, side)."""
+        side = self._side
+        picture = self._packed.draw(rng, side, 0.0 if rng.random() < 0.5 else SMALLEST_CROP)
+        pixels = picture.image if rng.random() < 0.8 else picture.maps["albedo"]
+        return {"image": _chw(2.0 * pixels - 1.0)}
 
 
 class RendererData:
     """Pictures with the conditioning the renderer gets: maps, and shading hidden in places."""
 
-    def __init__(self, packed: Packed, spec: BackboneSpec) -> None:
-        self._packed, self._spec = packed, spec
+    def __init__(self, packed: Packed, spec: BackboneSpec, side: int = SIDE) -> None:
+        self._packed, self._spec, self._side = packed, spec, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Draw one sample: ``image`` (3, H, W) and ``conditioning`` (K, H, W)."""
-        picture = draw_picture(self._packed[int(rng.integers(len(self._packed)))], rng)
+        """Draw one sample: ``image`` (3, side, side) and ``conditioning`` (K, side, side)."""
+        picture = self._packed.draw(rng, self._side)
         hidden = random_mask(rng, picture.object_mask)
         return {
             "image": _chw(2.0 * picture.image - 1.0),
@@ -204,17 +296,17 @@ class RendererData:
 class IntrinsicsData:
     """Pictures and their maps, for the estimator."""
 
-    def __init__(self, packed: Packed) -> None:
-        self._packed = packed
+    def __init__(self, packed: Packed, side: int = SIDE) -> None:
+        self._packed, self._side = packed, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
         """Draw one sample: ``image`` in [0, 1], ``albedo``, ``normal`` in [−1, 1], ``depth``."""
-        picture = draw_picture(self._packed[int(rng.integers(len(self._packed)))], rng)
+        picture = self._packed.draw(rng, self._side)
         return {
             "image": _chw(picture.image),
             "albedo": _chw(picture.maps["albedo"]),
             "normal": _chw(picture.maps["normal"]),
-            "depth": picture.maps["depth"][None].astype(np.float32),
+            "depth": np.ascontiguousarray(picture.maps["depth"][None], dtype=np.float32),
         }
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -23,6 +23,8 @@ from torch import Tensor, nn
 __all__ = ["TrainingOptions", "train"]
 
 Batch = dict[str, Tensor]
+PRINT_EVERY: Final = 50
+"""Steps between lines where no terminal shows the bar."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def train(
     """
     run.mkdir(parents=True, exist_ok=True)
     device = torch.device(options.device)
+    torch.set_flush_denormal(True)  # gradients of half-trained layers cost thirty times as much
     model.to(device)
     averaged = _frozen_copy(model)
     trained = [p for p in model.parameters() if p.requires_grad]
@@ -126,6 +129,8 @@ def train(
             log.add(step, terms)
             bar.update(task, advance=1, description=f"loss {log.recent:.4f}")
             done = step + 1
+            if not bar.console.is_terminal and done % PRINT_EVERY == 0:
+                bar.console.print(f"{done}/{options.steps} loss {log.recent:.4f}")
             late = deadline is not None and time.monotonic() > deadline
             if done % options.sample_every == 0 or done == options.steps or late:
                 _save(run, model, averaged, optimiser, done)

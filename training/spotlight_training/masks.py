@@ -16,6 +16,7 @@ __all__ = ["random_mask"]
 BoolArray = npt.NDArray[np.bool_]
 DROP_ALL = 0.1
 OBJECT = 0.75
+ABOUT_OBJECT = 0.5
 
 
 def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) -> BoolArray:
@@ -30,9 +31,9 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        One picture in ten is hidden whole; three in four hide the object, grown by up to 24
-        pixels; up to three rectangles or ellipses come on top, so the hidden region has no
-        telling outline.
+        One picture in ten is hidden whole; three in four hide the object, grown by up to 5 % of
+        the height; up to three rectangles or ellipses come on top, half of them about the object,
+        so the hidden region has no telling outline.
     """
     height, width = object_mask.shape
     if rng.random() < DROP_ALL:
@@ -40,20 +41,26 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     hidden = np.zeros((height, width), dtype=np.uint8)
     shapes = int(rng.integers(0, 4))
     if rng.random() < OBJECT:
-        grow = 1 + 2 * int(rng.integers(1, 13))
+        grow = 1 + 2 * int(rng.integers(1, max(2, height // 20)))
         hidden |= cv2.dilate((object_mask > 0.0).astype(np.uint8), np.ones((grow, grow), np.uint8))
     else:
         shapes = max(shapes, 1)
+    rows, columns = np.nonzero(object_mask > 0.5)
     for _ in range(shapes):
-        _stamp(rng, hidden)
+        centre = rng.uniform(0.0, 1.0, 2) * (width, height)
+        if rows.size and rng.random() < ABOUT_OBJECT:
+            pixel = int(rng.integers(rows.size))
+            centre = np.array([columns[pixel], rows[pixel]], dtype=float)
+        _stamp(rng, hidden, centre.astype(int))
     return hidden.astype(bool)
 
 
-def _stamp(rng: np.random.Generator, hidden: npt.NDArray[np.uint8]) -> None:
-    """Add a rectangle or ellipse of 5 to 60 % of each side, anywhere."""
+def _stamp(
+    rng: np.random.Generator, hidden: npt.NDArray[np.uint8], centre: npt.NDArray[np.int64]
+) -> None:
+    """Add a rectangle or ellipse of 5 to 60 % of each side about a pixel (x, y)."""
     height, width = hidden.shape
     half = (rng.uniform(0.05, 0.6, 2) * (width, height) / 2).astype(int) + 1
-    centre = (rng.uniform(0.0, 1.0, 2) * (width, height)).astype(int)
     if rng.random() < 0.5:
         low, high = centre - half, centre + half
         cv2.rectangle(hidden, low.tolist(), high.tolist(), 1, thickness=-1)

@@ -3,12 +3,10 @@
 Sized for two CPU cores. All of them are convolutional with dynamic height and width (multiples of
 8 pixels, odd latent sizes included), so the exported graphs take any picture.
 
-* `VAE`: 8× down. Pixels are folded into channels first (pixel unshuffle), so nothing is computed at
-  full resolution.
+* `VAE`: 8× down, on the principal components of patches.
 * `ConditionEncoder` and `Denoiser`: the renderer. Intrinsic maps enter as latents concatenated to
-  the noisy latents, as RGB↔X does: albedo and normals through the VAE, so that what is copied to
-  the output needs no translation, and all maps once more through a learned projection, which keeps
-  the edges the VAE loses.
+  the noisy latents, as RGB↔X does: the picture as far as it is known through the VAE, so that what
+  is copied to the output needs no translation, and all maps through a learned projection.
 * `IntrinsicsNet`: a photograph's albedo, normals and depth.
 """
 
@@ -16,12 +14,20 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 __all__ = ["VAE", "ConditionEncoder", "Denoiser", "IntrinsicsNet"]
+
+
+PATCH: Final = 8
+"""Pixels per latent."""
+
+POSTERIOR_DEVIATION: Final = 0.1
+"""Of each latent, in its own standard deviations: what the decoder learns to tolerate."""
 
 
 def _norm(channels: int) -> nn.GroupNorm:
@@ -74,113 +80,144 @@ def _double(x: Tensor, like: Tensor | None = None) -> Tensor:
 
 
 class VAE(nn.Module):
-    """Autoencoder with a diagonal Gaussian posterior; images in [−1, 1], 8× down."""
+    """Autoencoder with a diagonal Gaussian posterior; images in [−1, 1], 8× down.
 
-    def __init__(self, latent: int = 8, width: int = 96) -> None:
+    The encoder is the principal components of 8×8 patches, standardised: the best linear one, known
+    at once. Twenty minutes of training a convolutional encoder on two cores came 3 dB short of it.
+    It also costs the renderer's training nothing, and its latents are ready before any decoder.
+    The decoder is the components' own synthesis, and a convolutional network that adds what
+    neighbouring patches tell.
+    """
+
+    def __init__(self, latent: int = 16, width: int = 64) -> None:
         super().__init__()
         self.latent, self.width = latent, width
         wide = 2 * width
-        self.encoder = nn.Sequential(
-            nn.PixelUnshuffle(4),
-            nn.Conv2d(48, width, 3, padding=1),
-            *(ResBlock(width, width) for _ in range(2)),
-            nn.Conv2d(width, wide, 3, stride=2, padding=1),
-            *(ResBlock(wide, wide) for _ in range(3)),
-            _norm(wide),
-            nn.SiLU(),
-            nn.Conv2d(wide, 2 * latent, 3, padding=1),
+        self.analysis = nn.Conv2d(3, latent, PATCH, stride=PATCH).requires_grad_(False)
+        self.synthesis = nn.Sequential(
+            nn.Conv2d(latent, 3 * PATCH * PATCH, 1), nn.PixelShuffle(PATCH)
+        ).requires_grad_(False)
+        self.low = nn.Sequential(
+            nn.Conv2d(latent, wide, 3, padding=1), *(ResBlock(wide, wide) for _ in range(2))
         )
-        self.decoder_low = nn.Sequential(
-            nn.Conv2d(latent, wide, 3, padding=1), *(ResBlock(wide, wide) for _ in range(3))
+        self.middle = nn.Sequential(
+            nn.Conv2d(wide, width, 3, padding=1), *(ResBlock(width, width) for _ in range(2))
         )
-        self.decoder_middle = nn.Sequential(
-            nn.Conv2d(wide, width, 3, padding=1), *(ResBlock(width, width) for _ in range(3))
-        )
-        self.decoder_high = nn.Sequential(
+        self.high = nn.Sequential(
             _norm(width),
             nn.SiLU(),
-            nn.Conv2d(width, 4 * 32, 3, padding=1),
+            nn.Conv2d(width, 4 * 24, 3, padding=1),
             nn.PixelShuffle(2),
-            ResBlock(32, 32),
-            nn.Conv2d(32, 12, 3, padding=1),
+            ResBlock(24, 24),
+            nn.Conv2d(24, 12, 3, padding=1),
             nn.PixelShuffle(2),
         )
+        nn.init.zeros_(self.high[-2].weight)
 
     def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and log variance, (B, latent, H/8, W/8)."""
-        mean, log_variance = self.encoder(image).chunk(2, dim=1)
-        return mean, log_variance.clamp(-30.0, 20.0)
+        mean = self.analysis(image)
+        return mean, torch.full_like(mean, 2 * math.log(POSTERIOR_DEVIATION))
 
     def decode(self, z: Tensor) -> Tensor:
         """Image (B, 3, H, W), nominally in [−1, 1]."""
-        return self.decoder_high(self.decoder_middle(_double(self.decoder_low(z))))
+        return self.synthesis(z) + self.high(self.middle(_double(self.low(z))))
+
+    @torch.no_grad()
+    def fit_patches(self, patches: Tensor) -> Tensor:
+        """Set analysis and synthesis to the principal components of patches.
+
+        Parameters
+        ----------
+        patches : Tensor of float64, shape (N, 3 · 8 · 8)
+            Channel first, as a convolution's weight has them.
+
+        Returns
+        -------
+        Tensor, shape (latent,)
+            Each component's standard deviation in the patches, largest first.
+        """
+        mean = patches.mean(dim=0)
+        variances, vectors = torch.linalg.eigh(torch.cov((patches - mean).T))
+        components = vectors.flip(1)[:, : self.latent]
+        deviations = variances.flip(0)[: self.latent].sqrt()
+        scaled = (components / deviations).T
+        self.analysis.weight.copy_(scaled.reshape(self.analysis.weight.shape))
+        self.analysis.bias.copy_(-scaled @ mean)
+        self.synthesis[0].weight.copy_((components * deviations)[..., None, None])
+        self.synthesis[0].bias.copy_(mean)
+        return deviations.float()
 
 
 class ConditionEncoder(nn.Module):
     """Conditioning maps → condition at latent size.
 
+    The first ``latent`` channels are the latents of the *known picture*: albedo × shading where
+    the shading is known, albedo alone where it is hidden. There the renderer has little left to
+    do, and learns what matters: the light on what is hidden. The rest is a learned projection of
+    all maps, which keeps the edges the VAE loses.
+
     Parameters
     ----------
     vae : VAE
         Trained and frozen.
-    maps : int
-        Channels of the conditioning array.
-    albedo, normal : slice
-        Where in it albedo and normals are, both in [0, 1].
-    scale : float
-        The latent scaling factor.
+    slices : dict of str to slice
+        Where each map is in the conditioning array.
+    learned : int
+        Channels of the projection.
     """
 
-    def __init__(
-        self, vae: VAE, maps: int, albedo: slice, normal: slice, scale: float, learned: int = 64
-    ) -> None:
+    def __init__(self, vae: VAE, slices: dict[str, slice], learned: int = 64) -> None:
         super().__init__()
-        self.vae_encoder, self.latent = vae.encoder, vae.latent
-        self.albedo, self.normal, self.scale = albedo, normal, scale
+        self.analysis, self.latent, self.slices = vae.analysis, vae.latent, slices
+        channels = max(part.stop for part in slices.values())
         self.project = nn.Sequential(
             nn.PixelUnshuffle(8),
-            nn.Conv2d(64 * maps, 2 * learned, 1),
+            nn.Conv2d(64 * channels, 2 * learned, 1),
             nn.SiLU(),
             nn.Conv2d(2 * learned, learned, 3, padding=1),
         )
-        self.vae_encoder.requires_grad_(False)
 
     @property
     def channels(self) -> int:
         """Channels of the condition."""
-        return 2 * self.latent + self.project[-1].out_channels
+        return self.latent + self.project[-1].out_channels
 
     def forward(self, conditioning: Tensor) -> Tensor:
         """Condition (B, E, H/8, W/8) of maps (B, K, H, W)."""
-        encoded = [
-            self.scale * self.vae_encoder(2 * conditioning[:, part] - 1)[:, : self.latent]
-            for part in (self.albedo, self.normal)
-        ]
+        albedo, shading, mask = (
+            conditioning[:, self.slices[name]] for name in ("albedo", "shading", "mask")
+        )
+        known = torch.where(mask > 0, (albedo * shading).clamp(0.0, 1.0), albedo)
+        encoded = self.analysis(2 * known - 1)
         # Depth and shading reach 20 and 1,000; the logarithm keeps them in the network's range
         # and leaves the fill value −1 apart from every known value.
         squashed = torch.sign(conditioning) * torch.log1p(conditioning.abs())
-        return torch.cat([*encoded, self.project(squashed)], dim=1)
+        return torch.cat([encoded, self.project(squashed)], dim=1)
 
 
 class Denoiser(nn.Module):
-    """U-Net over (noisy latents, condition), predicting v."""
+    """U-Net over (noisy latents, condition), predicting v.
+
+    The output is ``a(t)·latents + b(t)·known + U-Net``, `known` being the condition's first
+    channels: v = (α z − x₀)/σ is nearly that where the shading is known.
+    """
 
     def __init__(
-        self,
-        latent: int,
-        condition: int,
-        widths: tuple[int, ...] = (128, 256, 384),
-        blocks: int = 2,
+        self, latent: int, condition: int, widths: tuple[int, ...], blocks: int = 2
     ) -> None:
         super().__init__()
-        self.widths = widths
+        self.latent, self.widths = latent, widths
         embedding = 4 * widths[0]
         self.embed = nn.Sequential(
             nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
         )
+        self.gates = nn.Linear(embedding, 2 * latent)
+        nn.init.zeros_(self.gates.weight)
+        nn.init.zeros_(self.gates.bias)
         self.enter = nn.Conv2d(latent + condition, widths[0], 3, padding=1)
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
-        channels, skips = widths[0], [widths[0]]
+        channels, skips = widths[0], list[int]()
         for level, width in enumerate(widths):
             for _ in range(blocks):
                 self.down.append(_Stage(channels, width, embedding, attend=level > 0))
@@ -188,10 +225,9 @@ class Denoiser(nn.Module):
                 skips.append(channels)
             if level < len(widths) - 1:
                 self.down.append(nn.Conv2d(channels, channels, 3, stride=2, padding=1))
-                skips.append(channels)
         self.middle = _Stage(channels, channels, embedding, attend=True)
         for level, width in reversed(list(enumerate(widths))):
-            for _ in range(blocks + 1):
+            for _ in range(blocks):
                 self.up.append(_Stage(channels + skips.pop(), width, embedding, attend=level > 0))
                 channels = width
             if level > 0:
@@ -199,22 +235,27 @@ class Denoiser(nn.Module):
         self.leave = nn.Sequential(
             _norm(channels), nn.SiLU(), nn.Conv2d(channels, latent, 3, padding=1)
         )
+        nn.init.zeros_(self.leave[-1].weight)
 
     def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> Tensor:
         """Prediction v, shape of ``latents``; ``timestep`` is int64 (1,) or (B,)."""
         embedding = self.embed(_sinusoid(timestep, self.widths[0]).to(latents.dtype))
         x = self.enter(torch.cat([latents, condition], dim=1))
-        skips = [x]
+        skips = []
         for stage in self.down:
-            x = stage(x, embedding) if isinstance(stage, _Stage) else stage(x)
-            skips.append(x)
+            if isinstance(stage, _Stage):
+                x = stage(x, embedding)
+                skips.append(x)
+            else:
+                x = stage(x)
         x = self.middle(x, embedding)
         for stage in self.up:
             if isinstance(stage, _Stage):
                 x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
             else:
                 x = stage(_double(x, like=skips[-1]))
-        return self.leave(x)
+        a, b = self.gates(embedding)[:, :, None, None].chunk(2, dim=1)
+        return self.leave(x) + a * latents + b * condition[:, : self.latent]
 
 
 class _Stage(nn.Module):

@@ -33,9 +33,7 @@ Batch = dict[str, Tensor]
 Loss = Callable[[nn.Module, Batch, torch.Generator], dict[str, Tensor]]
 Sheet = Callable[[nn.Module, Path], None]
 
-KL_WEIGHT = 1e-6
 GRADIENT_WEIGHT = 1.0
-PERCEPTUAL_WEIGHT = 0.1
 
 
 class Renderer(nn.Module):
@@ -46,30 +44,28 @@ class Renderer(nn.Module):
         self.vae, self.condition, self.denoiser = vae.requires_grad_(False), condition, denoiser
 
 
-def vae_loss(perceptual: nn.Module | None = None) -> Loss:
-    """L1 of pixels and of their differences, perceptual distance, and a very small KL."""
+def vae_loss(model: nn.Module, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
+    """L1 of pixels and of their differences, decoding posterior samples.
 
-    def loss(model: nn.Module, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
-        assert isinstance(model, VAE)
-        image = batch["image"]
-        mean, log_variance = model.encode(image)
-        noise = torch.randn(mean.shape, generator=generator, device=mean.device)
-        decoded = model.decode(mean + torch.exp(0.5 * log_variance.float()) * noise).float()
-        kl = 0.5 * (mean.float() ** 2 + log_variance.float().exp() - 1 - log_variance.float())
-        terms = {
-            "l1": functional.l1_loss(decoded, image),
-            "gradient": GRADIENT_WEIGHT * _gradient_distance(decoded, image),
-            "kl": KL_WEIGHT * kl.sum(dim=(1, 2, 3)).mean(),
-        }
-        if perceptual is not None:
-            terms["perceptual"] = PERCEPTUAL_WEIGHT * perceptual(decoded, image).mean()
-        return terms
-
-    return loss
+    The posterior is given, so there is no divergence to weigh against them.
+    """
+    assert isinstance(model, VAE)
+    image = batch["image"]
+    mean, log_variance = model.encode(image)
+    noise = torch.randn(mean.shape, generator=generator, device=mean.device)
+    decoded = model.decode(mean + torch.exp(0.5 * log_variance) * noise).float()
+    return {
+        "l1": functional.l1_loss(decoded, image),
+        "gradient": GRADIENT_WEIGHT * _gradient_distance(decoded, image),
+    }
 
 
 def renderer_loss(spec: BackboneSpec) -> Loss:
-    """Mean squared error of v over uniformly drawn timesteps, with zero terminal SNR."""
+    """Squared error of v over uniformly drawn timesteps, with zero terminal SNR.
+
+    Channels count by the square root of their share in the picture: the first components of a
+    patch are its light, the last hardly visible texture.
+    """
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule)).float()
 
     def loss(model: nn.Module, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -85,7 +81,9 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
         noisy = level.sqrt() * x0 + (1 - level).sqrt() * noise
         target = level.sqrt() * noise - (1 - level).sqrt() * x0
         v = model.denoiser(noisy, t, model.condition(batch["conditioning"]))
-        return {"v": functional.mse_loss(v.float(), target)}
+        shares = model.vae.synthesis[0].weight.float().square().sum(dim=(0, 2, 3)).sqrt().sqrt()
+        error = (v.float() - target).square().mean(dim=(0, 2, 3))
+        return {"v": (shares / shares.mean() * error).mean()}
 
     return loss
 

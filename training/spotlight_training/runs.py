@@ -16,11 +16,12 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import nn
+from torch.nn import functional
 
 from spotlight_spec import BACKBONES, BackboneSpec
 from spotlight_training.data import IntrinsicsData, Packed, PictureData, RendererData
 from spotlight_training.loop import TrainingOptions, train
-from spotlight_training.networks import VAE, ConditionEncoder, Denoiser, IntrinsicsNet
+from spotlight_training.networks import PATCH, VAE, ConditionEncoder, Denoiser, IntrinsicsNet
 from spotlight_training.objectives import (
     Renderer,
     intrinsics_loss,
@@ -38,9 +39,19 @@ MODEL_FILE = "model.safetensors"
 
 
 def train_vae(
-    data: Path, held_out: Path, run: Path, options: TrainingOptions, *, latent: int, width: int
+    data: Path,
+    held_out: Path,
+    run: Path,
+    options: TrainingOptions,
+    *,
+    latent: int,
+    width: int,
+    side: int,
+    start: Path | None = None,
 ) -> None:
-    """Train the VAE on packed pictures; see `TrainingOptions`.
+    """Fit the VAE's latents to packed pictures and train its decoder; see `TrainingOptions`.
+
+    The latents are saved before the decoder is trained: the renderer needs no more to begin.
 
     Parameters
     ----------
@@ -51,22 +62,41 @@ def train_vae(
     options : TrainingOptions
     latent, width : int
         Latent channels; channels of the VAE's first level.
+    side : int
+        Of the training pictures.
+    start : Path, optional
+        Run whose weights a new run starts from.
     """
     samples = _held_out(PictureData(Packed(held_out)))
+    network = VAE(latent, width)
+    if start is None:
+        network.fit_patches(_patches(PictureData(Packed(data))))
+    else:
+        _load(network, start / MODEL_FILE)
+    shape = {"latent": latent, "width": width}
+    run.mkdir(parents=True, exist_ok=True)
+    _save(run, network, shape)
     model = train(
-        VAE(latent, width),
-        vae_loss(),
-        PictureData(Packed(data)),
+        network,
+        vae_loss,
+        PictureData(Packed(data), side),
         run,
         options,
         vae_sheet(samples, options.device),
     )
-    scale = _latent_scale(model, PictureData(Packed(data)), options.device)
-    _save(run, model, {"latent": latent, "width": width, "scaling_factor": scale})
+    _save(run, model, shape)
 
 
 def train_renderer(
-    data: Path, held_out: Path, vae: Path, run: Path, options: TrainingOptions, *, width: int
+    data: Path,
+    held_out: Path,
+    vae: Path,
+    run: Path,
+    options: TrainingOptions,
+    *,
+    width: int,
+    side: int,
+    start: Path | None = None,
 ) -> None:
     """Train condition encoder and denoiser over a trained VAE.
 
@@ -80,19 +110,30 @@ def train_renderer(
         Folder of the run.
     options : TrainingOptions
     width : int
-        Channels of the U-Net's first level; the others have two and three times as many.
+        Channels of the U-Net's first level; the others have two and four times as many.
+    side : int
+        Of the training pictures; learning first at half size sees four times as many.
+    start : Path, optional
+        Run whose weights a new run starts from.
     """
     autoencoder, spec = load_vae(vae)
     samples = _held_out(RendererData(Packed(held_out), spec))
+    network = _renderer(autoencoder, spec, width)
+    if start is not None:
+        _load(network, start / MODEL_FILE)
     model = train(
-        _renderer(autoencoder, spec, width),
+        network,
         renderer_loss(spec),
-        RendererData(Packed(data), spec),
+        RendererData(Packed(data), spec, side),
         run,
         options,
         renderer_sheet(samples, spec, options.device),
     )
-    _save(run, model, {"width": width, "vae": _shape(autoencoder, spec)})
+    _save(
+        run,
+        model,
+        {"width": width, "vae": {"latent": autoencoder.latent, "width": autoencoder.width}},
+    )
 
 
 def train_intrinsics(data: Path, held_out: Path, run: Path, options: TrainingOptions) -> None:
@@ -130,25 +171,14 @@ def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
     for entry in spec.maps:
         channels[entry.name] = slice(start, start + entry.channels)
         start += entry.channels
-    condition = ConditionEncoder(
-        vae, start, channels["albedo"], channels["normal"], spec.latent.scaling_factor
-    )
-    widths = (width, 2 * width, 3 * width)
+    condition = ConditionEncoder(vae, channels)
+    widths = (width, 2 * width, 4 * width)
     return Renderer(vae, condition, Denoiser(spec.latent.channels, condition.channels, widths))
 
 
 def _spec(shape: dict[str, Any]) -> BackboneSpec:
     mini = BACKBONES["mini"]
-    latent = replace(mini.latent, channels=shape["latent"], scaling_factor=shape["scaling_factor"])
-    return replace(mini, latent=latent)
-
-
-def _shape(vae: VAE, spec: BackboneSpec) -> dict[str, Any]:
-    return {
-        "latent": vae.latent,
-        "width": vae.width,
-        "scaling_factor": spec.latent.scaling_factor,
-    }
+    return replace(mini, latent=replace(mini.latent, channels=shape["latent"]))
 
 
 def _vae(shape: dict[str, Any], weights: Path | None) -> VAE:
@@ -163,13 +193,11 @@ def _held_out(draw: Any) -> list[dict[str, Any]]:
     return [draw(np.random.default_rng([7, i])) for i in range(SHEET_COLUMNS)]
 
 
-@torch.no_grad()
-def _latent_scale(vae: nn.Module, draw: PictureData, device: str, count: int = 128) -> float:
-    """One over the standard deviation of latents: the scaling factor that makes it 1."""
-    assert isinstance(vae, VAE)
-    images = (draw(np.random.default_rng([8, i]))["image"] for i in range(count))
-    latents = [vae.encode(torch.from_numpy(image)[None].to(device))[0] for image in images]
-    return 1.0 / float(torch.cat(latents).float().std())
+def _patches(draw: PictureData, count: int = 192) -> torch.Tensor:
+    """Patches of training pictures, (N, 3 · 8 · 8)."""
+    images = [draw(np.random.default_rng([8, i]))["image"] for i in range(count)]
+    columns = functional.unfold(torch.from_numpy(np.stack(images)), PATCH, stride=PATCH)
+    return columns.transpose(1, 2).flatten(0, 1).double()
 
 
 def _save(run: Path, model: nn.Module, shape: dict[str, Any]) -> None:
@@ -194,3 +222,11 @@ def _read_shape(run: Path) -> dict[str, Any]:
 def _load(model: nn.Module, path: Path) -> None:
     with safe_open(path, framework="pt") as file:
         model.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+
+
+def load_estimator(run: Path) -> IntrinsicsNet:
+    """The trained estimator of a run."""
+    _read_shape(run)  # for its error about a run that is not finished
+    network = IntrinsicsNet()
+    _load(network, run / MODEL_FILE)
+    return network.eval()

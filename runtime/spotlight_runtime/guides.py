@@ -10,10 +10,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, check_array
+from spotlight_runtime.casting import Cast, caster_of
 from spotlight_runtime.errors import DtypeError, InvalidInputError
 from spotlight_runtime.lights import Light, Vector
 from spotlight_runtime.scene import Scene
-from spotlight_runtime.shadow import cast_shadow
 
 __all__ = ["Guide", "GuidingShadow", "Negative", "guiding_shadows"]
 
@@ -104,15 +104,17 @@ def guiding_shadows(
             "negative: expected opposite or none for several lights; give each its own as "
             "GuidingShadow(positive, negative)"
         )
+    lights = (*guides, negative)
+    cast = caster_of(scene) if any(isinstance(each, Light) for each in lights) else None
     made = []
     for number, each in enumerate(guides, start=1):
-        shadow = _guiding_shadow(scene, each, negative)
+        shadow = _guiding_shadow(cast, each, negative)
         shadow.check(scene.size, f" {number}" if len(guides) > 1 else "")
         made.append(shadow)
     return tuple(made)
 
 
-def _guiding_shadow(scene: Scene, guide: Guide, negative: Negative | None) -> GuidingShadow:
+def _guiding_shadow(cast: Cast | None, guide: Guide, negative: Negative | None) -> GuidingShadow:
     if isinstance(negative, str) and negative not in get_args(get_args(Negative)[-1]):
         raise InvalidInputError(
             f"negative: expected opposite, none, a light or a shadow, got {negative!r}"
@@ -122,19 +124,20 @@ def _guiding_shadow(scene: Scene, guide: Guide, negative: Negative | None) -> Gu
             raise InvalidInputError("negative: expected none beside a GuidingShadow, which has one")
         return guide
     if isinstance(guide, Light):
-        across = guide.opposite() if negative is None or negative == "opposite" else negative
-        return GuidingShadow(
-            cast_shadow(scene, guide), _drawn(scene, across), guide.weight, guide.colour
-        )
+        assert cast is not None
+        usual = negative is None or (isinstance(negative, str) and negative == "opposite")
+        across = guide.opposite() if usual else negative
+        return GuidingShadow(cast(guide, True), _drawn(cast, across), guide.weight, guide.colour)
     if isinstance(negative, str) and negative == "opposite":
         raise InvalidInputError(
             "negative: the opposite of a ready shadow is not known; give it as a shadow of its "
             "own, or none"
         )
-    return GuidingShadow(guide, _drawn(scene, negative))
+    return GuidingShadow(guide, _drawn(cast, negative))
 
 
-def _drawn(scene: Scene, negative: Negative | None) -> FloatArray | None:
+def _drawn(cast: Cast | None, negative: Negative | None) -> FloatArray | None:
     if isinstance(negative, Light):
-        return cast_shadow(scene, negative)
+        assert cast is not None
+        return cast(negative, False)
     return None if negative is None or isinstance(negative, str) else negative

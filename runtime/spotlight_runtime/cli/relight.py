@@ -6,64 +6,193 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import luma
-from spotlight_runtime.images import check_target, read_image, write_image
+from spotlight_runtime.cli.lighting import Asked, choose_lighting
+from spotlight_runtime.cli.pictures import one_picture, pictures_each, shadow_of, write_sheet
+from spotlight_runtime.cli.progress import notices
+from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.images import check_target, write_image
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.relighter import Relighter
-from spotlight_runtime.result import RelightResult
 from spotlight_runtime.scene import Scene
+from spotlight_runtime.sweep import check_animation
 from spotlight_spec import write_json
 
 __all__ = ["relight"]
+
+
+LIGHT = "Light (give one)"
+FURTHER = "Light, further"
+METHOD = "Method"
+MACHINE = "Machine"
 
 
 def relight(
     scene: Annotated[
         Path, typer.Argument(help="Scene folder or zip: scene.json, or the published layout.")
     ],
-    shadow: Annotated[
-        Path,
-        typer.Option(help="Guiding shadow: grey image of the scene's size, white is shadow."),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Picture to write (.png .jpg .webp .exr .hdr).")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Picture to write.")],
+    azimuth: Annotated[
+        float | None,
+        typer.Option(
+            help="Where the light is, in degrees round the object: 0 right, 90 behind it, 180 "
+            "left, 270 towards the camera.",
+            rich_help_panel=LIGHT,
+        ),
+    ] = None,
+    shadow: Annotated[
+        Path | None,
+        typer.Option(
+            help="The light's shadow as a grey image of the scene's size, white is shadow; a "
+            "scribble will do.",
+            rich_help_panel=LIGHT,
+        ),
+    ] = None,
+    light: Annotated[
+        str | None,
+        typer.Option(
+            help="A light whose shadow lies ready in the scene, by name: gt_dir, 0003.",
+            rich_help_panel=LIGHT,
+        ),
+    ] = None,
+    lights: Annotated[
+        Path | None,
+        typer.Option(
+            help='Several lights as JSON: [{"azimuth": 30, "elevation": 50, "weight": 2, '
+            '"colour": [1, 0.8, 0.6]}, …].',
+            rich_help_panel=LIGHT,
+        ),
+    ] = None,
+    sweep: Annotated[
+        int | None,
+        typer.Option(
+            help="So many lights all round, each a picture of its own on a contact sheet.",
+            rich_help_panel=LIGHT,
+        ),
+    ] = None,
+    elevation: Annotated[
+        float | None,
+        typer.Option(help="Degrees above the floor.", show_default="45", rich_help_panel=FURTHER),
+    ] = None,
+    radius: Annotated[
+        float,
+        typer.Option(
+            help="Size of the light, in sizes of the object: the larger, the softer the shadow.",
+            rich_help_panel=FURTHER,
+        ),
+    ] = 1.0,
+    distance: Annotated[
+        float,
+        typer.Option(
+            help="Of the light, in sizes of the object; inf for the sun, whose --radius is then "
+            "in degrees.",
+            rich_help_panel=FURTHER,
+        ),
+    ] = 10.0,
     negative: Annotated[
-        str, typer.Option(help="Shadow of the opposite light (an image), or none.")
-    ] = "none",
-    model: Annotated[str, typer.Option(help="Model name or folder: `spotlight models`.")] = "mini",
+        str | None,
+        typer.Option(
+            help="What the guidance contrasts with: opposite (light), none, or an image.",
+            show_default="opposite; none for --shadow",
+            rich_help_panel=FURTHER,
+        ),
+    ] = None,
+    preview: Annotated[
+        bool,
+        typer.Option("--preview", help="Sketch shadow and composite in a blink, no diffusion."),
+    ] = False,
+    shadow_out: Annotated[
+        Path | None, typer.Option(help="Write the guiding shadow here, too.")
+    ] = None,
+    animation: Annotated[
+        Path | None, typer.Option(help="With --sweep: write .mp4, .gif or .webp here, too.")
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="Write options, timings and peak memory here as JSON.")
     ] = None,
-    gamma: Annotated[float, typer.Option(help="How strongly the shadow steers the shading.")] = 3.0,
-    beta: Annotated[float, typer.Option(help="How strongly the shadow enters the picture.")] = 0.05,
-    seed: Annotated[int, typer.Option(help="Same seed, same picture.")] = 469,
+    model: Annotated[
+        str,
+        typer.Option(help="Model name or folder: `spotlight models`.", rich_help_panel=METHOD),
+    ] = "mini",
+    gamma: Annotated[
+        float,
+        typer.Option(
+            help="How strongly the shadow steers the shading; 1 is not at all.",
+            rich_help_panel=METHOD,
+        ),
+    ] = 3.0,
+    beta: Annotated[
+        float,
+        typer.Option(help="How strongly the shadow enters the picture.", rich_help_panel=METHOD),
+    ] = 0.05,
+    seed: Annotated[
+        int, typer.Option(help="Same seed, same picture.", rich_help_panel=METHOD)
+    ] = 469,
     steps: Annotated[
-        int | None, typer.Option(help="Denoising steps.", show_default="the backbone's")
+        int | None,
+        typer.Option(
+            help="Denoising steps.", show_default="the backbone's", rich_help_panel=METHOD
+        ),
     ] = None,
-    solver: Annotated[Literal["ddim", "dpmpp_2m", "unipc"], typer.Option()] = "ddim",
+    solver: Annotated[
+        Literal["ddim", "dpmpp_2m", "unipc"], typer.Option(rich_help_panel=METHOD)
+    ] = "ddim",
     fidelity: Annotated[
         Literal["paper", "release"],
-        typer.Option(help="Follow the paper, or the public release to the letter."),
+        typer.Option(
+            help="Follow the paper, or the public release to the letter.",
+            rich_help_panel=METHOD,
+        ),
     ] = "paper",
+    window: Annotated[
+        Literal["auto", "frame"],
+        typer.Option(
+            help="Diffuse a window around object and shadow at the model's scale, or the whole "
+            "frame at its own.",
+            rich_help_panel=METHOD,
+        ),
+    ] = "auto",
     denoise: Annotated[
         bool | None,
-        typer.Option("--denoise/--no-denoise", show_default="where the backbone needs it"),
+        typer.Option(
+            "--denoise/--no-denoise",
+            show_default="where the backbone needs it",
+            rich_help_panel=METHOD,
+        ),
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(help="Threads.", show_default="all this process may use")
+        int | None,
+        typer.Option(
+            help="Threads.", show_default="all this process may use", rich_help_panel=MACHINE
+        ),
     ] = None,
     low_memory: Annotated[
-        bool, typer.Option("--low-memory", help="Hold one network at a time; slower to repeat.")
+        bool,
+        typer.Option(
+            "--low-memory",
+            help="Hold one network at a time; slower to repeat.",
+            rich_help_panel=MACHINE,
+        ),
     ] = False,
 ) -> None:
-    """Relight a scene's object by a guiding shadow.
+    """Relight a scene's object: say where the light is, or draw its shadow.
 
-    Example: spotlight relight chair/ --shadow left.png --negative right.png -o out.png
+    Try a light, then relight by it:
+
+        spotlight relight chair/ --azimuth 135 --elevation 45 --preview -o sketch.png
+
+        spotlight relight chair/ --azimuth 135 --elevation 45 -o out.png
+
+    By a drawn shadow, and by all lights round the object:
+
+        spotlight relight chair/ --shadow left.png --negative right.png -o out.png
+
+        spotlight relight chair/ --sweep 8 -o sheet.png --animation turn.mp4
+
+    The picture has the photograph's size, and what neither object nor shadow covers is untouched.
     """
     options = RelightOptions(
         gamma=gamma,
@@ -73,51 +202,29 @@ def relight(
         solver=solver,
         fidelity=fidelity,
         denoise=denoise,
+        window=window,
     )
-    check_target(output)  # now, not after the minutes a relight takes
+    for target in (output, shadow_out):  # now, not after the minutes a relight takes
+        if target is not None:
+            check_target(target)
+    if animation is not None:
+        check_animation(animation)
+        if sweep is None:
+            raise InvalidInputError("--animation: expected --sweep beside it, say --sweep 8")
+    asked = Asked(azimuth, elevation, radius, distance, shadow, negative, light, lights, sweep)
     loaded = Scene.load(scene)
-    positive = _read_shadow(shadow)
-    opposite = None if negative == "none" else _read_shadow(Path(negative))
-    relighter = Relighter.load(model, threads=threads, low_memory=low_memory)
-    result = _run_with_progress(relighter, loaded, positive, opposite, options)
-    write_image(output, result.image)
-    facts = {"scene": loaded.name, "output": str(output), **result.report()}
+    lighting = choose_lighting(scene, loaded, asked)
+    relighter = None if preview else Relighter.load(model, threads=threads, low_memory=low_memory)
+    with notices():
+        if sweep is None:
+            picture = one_picture(relighter, loaded, lighting, options)
+            write_image(output, picture.image)
+            if shadow_out is not None:
+                write_image(shadow_out, shadow_of(picture.guides))
+            facts, summary = picture.report, picture.summary
+        else:
+            each = pictures_each(relighter, loaded, lighting, options)
+            facts, summary = write_sheet(each, loaded, lighting, output, animation)
     if report is not None:
-        write_json(report, facts)
-    total = sum(result.timings.values())
-    print(f"{output}: {result.evaluations} evaluations, {total:.1f} s", file=sys.stderr)
-
-
-def _run_with_progress(
-    relighter: Relighter,
-    scene: Scene,
-    shadow: FloatArray,
-    negative: FloatArray | None,
-    options: RelightOptions,
-) -> RelightResult:
-    bar = Progress(
-        TextColumn("{task.description:>10}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    tasks = {}
-    run = relighter.run(scene, shadow, negative, options)
-    with bar:
-        while True:
-            try:
-                progress = next(run)
-            except StopIteration as stop:
-                result: RelightResult = stop.value
-                return result
-            if progress.stage not in tasks:
-                tasks[progress.stage] = bar.add_task(progress.stage, total=progress.steps)
-            bar.update(tasks[progress.stage], completed=progress.step.index + 1)
-
-
-def _read_shadow(path: Path) -> FloatArray:
-    pixels = read_image(path)
-    if pixels.ndim == 3:
-        pixels = luma(pixels[..., :3]) if pixels.shape[2] >= 3 else pixels[..., 0]
-    return np.clip(pixels, 0.0, 1.0)
+        write_json(report, {"scene": loaded.name, "output": str(output), **facts})
+    print(f"{output}: {summary}", file=sys.stderr)

@@ -1,0 +1,132 @@
+"""Which lights a command line asks for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.guides import Guide, GuidingShadow, Negative
+from spotlight_runtime.lights import Light
+from spotlight_runtime.lights_file import read_lights
+from spotlight_runtime.scene import Scene
+from spotlight_runtime.shadow_files import read_ready_shadow, read_shadow, ready_shadows
+from spotlight_runtime.sweep import ring
+
+__all__ = ["Asked", "Lighting", "choose_lighting"]
+
+
+ELEVATION: Final = 45.0
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The options about light, as typed; None where an option is not given."""
+
+    azimuth: float | None = None
+    elevation: float | None = None
+    radius: float = 1.0
+    distance: float = 10.0
+    shadow: Path | None = None
+    negative: str | None = None
+    light: str | None = None
+    lights: Path | None = None
+    sweep: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """Lights and shadows to relight by.
+
+    Attributes
+    ----------
+    guides : sequence of Light, GuidingShadow or ndarray
+    negative : Light, ndarray, "opposite", "none", or None
+        As `Relighter.relight` takes it.
+    captions : sequence of str
+        One a light.
+    """
+
+    guides: Sequence[Guide]
+    negative: Negative | None
+    captions: Sequence[str]
+
+
+def choose_lighting(path: Path, scene: Scene, asked: Asked) -> Lighting:
+    """Make lights of the options.
+
+    Parameters
+    ----------
+    path : Path
+        The scene's folder or zip.
+    scene : Scene
+        What lies there.
+    asked : Asked
+
+    Raises
+    ------
+    InvalidInputError
+        If none, or more than one, of the ways to give light is taken.
+    """
+    given = {
+        "--azimuth": asked.azimuth,
+        "--shadow": asked.shadow,
+        "--light": asked.light,
+        "--lights": asked.lights,
+        "--sweep": asked.sweep,
+    }
+    ways = [name for name, value in given.items() if value is not None]
+    if len(ways) != 1:
+        got = " and ".join(ways) or "none of them"
+        ready = ", ".join(ready_shadows(path))
+        known = f"; --light knows here: {ready}" if ready else ""
+        raise InvalidInputError(
+            f"light: expected one of {', '.join(given)}, got {got}. Say where it is "
+            f"(--azimuth 135 --elevation 45), or draw its shadow (--shadow drawing.png){known}"
+        )
+    negative = _negative(asked.negative)
+    if asked.shadow is not None:
+        return Lighting([read_shadow(asked.shadow)], negative, [asked.shadow.name])
+    if asked.light is not None:
+        return _ready(path, [asked.light], negative, [asked.light])
+    if asked.lights is not None:
+        guides = read_lights(asked.lights)
+        return Lighting(guides, negative, [f"light {i + 1}" for i in range(len(guides))])
+    distance = None if math.isinf(asked.distance) else asked.distance
+    elevation = ELEVATION if asked.elevation is None else asked.elevation
+    if asked.sweep is None:
+        light = Light(asked.azimuth, elevation, asked.radius, distance)
+        return Lighting([light], negative, [_caption(light)])
+    circle = ring(asked.sweep, elevation, asked.radius, distance)
+    captions = [_caption(light) for light in circle]
+    # A published scene has no mesh to cast from, but may have the shadows of just such a ring.
+    numbered = [f"{i:04d}" for i in range(asked.sweep)]
+    drawn = set(numbered) <= set(ready_shadows(path))
+    if drawn and scene.object_mesh is None and asked.elevation is None:
+        return _ready(path, numbered, negative, captions)
+    return Lighting(circle, negative, captions)
+
+
+def _ready(
+    path: Path, names: Sequence[str], negative: Negative | None, captions: Sequence[str]
+) -> Lighting:
+    guides: list[GuidingShadow] = [read_ready_shadow(path, name) for name in names]
+    if isinstance(negative, str):
+        if negative == "none":
+            guides = [replace(guide, negative=None) for guide in guides]
+    elif negative is not None:
+        guides = [GuidingShadow(guide.positive, negative) for guide in guides]  # type: ignore[arg-type]
+    return Lighting(guides, None, captions)
+
+
+def _negative(text: str | None) -> Negative | None:
+    if text is None or text in ("none", "opposite"):
+        return text  # type: ignore[return-value]
+    return read_shadow(Path(text))
+
+
+def _caption(light: Light) -> str:
+    return f"azimuth {light.azimuth:g}°  elevation {light.elevation:g}°"

@@ -1,0 +1,118 @@
+"""Making and writing the pictures a command line asks for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.cli.lighting import Lighting
+from spotlight_runtime.cli.progress import drained, progress_bars
+from spotlight_runtime.guides import GuidingShadow
+from spotlight_runtime.images import write_image
+from spotlight_runtime.mixing import Mix
+from spotlight_runtime.options import RelightOptions
+from spotlight_runtime.preview import preview, preview_each
+from spotlight_runtime.relighter import Relighter
+from spotlight_runtime.result import RelightResult
+from spotlight_runtime.scene import Scene
+from spotlight_runtime.sweep import Tile, contact_sheet, make_tile, write_animation
+
+__all__ = ["Picture", "one_picture", "pictures_each", "shadow_of", "write_sheet"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture to write.
+
+    Attributes
+    ----------
+    image : ndarray of float32, shape (H, W, 3)
+        sRGB-encoded.
+    guides : tuple of GuidingShadow
+        What guided it.
+    report : dict
+        What is known of how it was made, for JSON.
+    summary : str
+        The same for a person, in half a line.
+    """
+
+    image: FloatArray
+    guides: tuple[GuidingShadow, ...]
+    report: dict[str, Any]
+    summary: str
+
+
+def one_picture(
+    relighter: Relighter | None, scene: Scene, lighting: Lighting, options: RelightOptions
+) -> Picture:
+    """All lights in one picture; a sketch where there is no relighter."""
+    if relighter is None:
+        start = time.perf_counter()
+        sketch = preview(scene, lighting.guides)
+        seconds = time.perf_counter() - start
+        return Picture(sketch.image, sketch.guides, {"preview": True}, f"preview, {seconds:.1f} s")
+    with progress_bars() as show:
+        run = relighter.run(scene, lighting.guides, lighting.negative, options)
+        return _finished(drained(run, show))
+
+
+def pictures_each(
+    relighter: Relighter | None, scene: Scene, lighting: Lighting, options: RelightOptions
+) -> Iterator[Picture]:
+    """Each light in a picture of its own; sketches where there is no relighter."""
+    if relighter is None:
+        for sketch in preview_each(scene, lighting.guides):
+            yield Picture(sketch.image, sketch.guides, {"preview": True}, "preview")
+        return
+    with progress_bars() as show:
+        for each in relighter.run_each(scene, lighting.guides, lighting.negative, options):
+            if isinstance(each, RelightResult):
+                yield _finished(each)
+            else:
+                show(each)
+
+
+def write_sheet(
+    pictures: Iterator[Picture],
+    scene: Scene,
+    lighting: Lighting,
+    output: Path,
+    animation: Path | None,
+) -> tuple[dict[str, Any], str]:
+    """Write the contact sheet, and the animation where one is wanted.
+
+    Returns
+    -------
+    report : dict
+        For JSON.
+    summary : str
+        For a person.
+    """
+    tiles: list[Tile] = []
+    reports: list[dict[str, Any]] = []
+    summary = ""
+    for picture, caption in zip(pictures, lighting.captions):
+        shadow = picture.guides[0].positive
+        tiles.append(make_tile(picture.image, shadow, scene.object_mask, caption))
+        reports.append({"light": caption, **picture.report})
+        summary = picture.summary
+    write_image(output, contact_sheet(tiles))
+    if animation is not None:
+        write_animation(animation, [tile.picture for tile in tiles])
+    return {"pictures": reports}, f"{len(tiles)} lights; the last: {summary}"
+
+
+def shadow_of(guides: tuple[GuidingShadow, ...]) -> FloatArray:
+    """The guiding shadow of a picture; of several lights, as they add up."""
+    together = Mix.of(guides).sum([guide.positive[..., None].repeat(3, 2) for guide in guides])
+    return together if len(guides) > 1 else guides[0].positive
+
+
+def _finished(result: RelightResult) -> Picture:
+    seconds = sum(result.timings.values())
+    summary = f"{result.evaluations} evaluations, {seconds:.1f} s"
+    return Picture(result.image, result.guides, result.report(), summary)

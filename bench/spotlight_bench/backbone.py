@@ -1,27 +1,25 @@
-"""A backbone under evaluation, and the few steps of a relight the methods have in common."""
+"""A backbone under evaluation, and what all methods make pictures of and with."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from spotlight_runtime import LoopInputs, Relighter, RelightOptions, Scene, Step
-from spotlight_runtime.arrays import BoolArray, FloatArray, pad_edge
-from spotlight_runtime.codec import decode_latents
-from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_srgb
-from spotlight_runtime.composite import compose_picture
-from spotlight_runtime.conditioning import composite_maps
-from spotlight_runtime.denoise import denoise, denoiser_available
+from spotlight_runtime import RelightOptions, Step, passes
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.mixing import Mix, put_back
 from spotlight_runtime.models import open_networks, resolve_model
+from spotlight_runtime.preparation import Prepared
+from spotlight_runtime.result import Stopwatch
+from spotlight_runtime.sampler import Fidelity
+from spotlight_runtime.scene import Scene
 from spotlight_runtime.sessions import Network
 from spotlight_spec import BackboneSpec
 
-__all__ = ["Backbone", "cleared", "compose", "decode", "last", "one_branch"]
+__all__ = ["Backbone", "compose", "develop", "last"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,27 +52,6 @@ class Backbone:
         networks = open_networks(folder, threads=threads)
         return cls(folder.manifest.backbone, networks, folder.summary())
 
-    @property
-    def relighter(self) -> Relighter:
-        """The runtime on these networks."""
-        return Relighter(self.spec, self.networks, model=self.facts)
-
-
-def cleared(shadow: FloatArray, padded: Scene) -> FloatArray:
-    """The shadow grown to the padded scene and taken away under the object."""
-    grown = np.clip(pad_edge(shadow, padded.size), 0.0, 1.0)
-    return grown * (np.float32(1.0) - padded.object_mask)
-
-
-def one_branch(inputs: LoopInputs) -> LoopInputs:
-    """The positive branch alone: no guidance."""
-    return replace(
-        inputs,
-        conditioning=inputs.conditioning[:1],
-        composite_latents=inputs.composite_latents[:1],
-        shadow_mask=inputs.shadow_mask[:1],
-    )
-
 
 def last(trajectory: Iterator[Step]) -> FloatArray:
     """Final latents of the positive branch, shape (1, C, h, w)."""
@@ -82,48 +59,38 @@ def last(trajectory: Iterator[Step]) -> FloatArray:
     return step.latents[:1]
 
 
-def decode(
-    backbone: Backbone, latents: FloatArray, padded: Scene, options: RelightOptions
+def develop(
+    backbone: Backbone, view: Scene, latents: FloatArray, options: RelightOptions
 ) -> FloatArray:
-    """Picture of latents as the runtime makes it: decoded, and denoised where the backbone wants.
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W, 3)
-        In the backbone's encoding.
-    """
-    picture = decode_latents(backbone.networks, backbone.spec, latents)
-    wanted = backbone.spec.noisy_renders if options.denoise is None else options.denoise
-    if not wanted or not (options.denoise or denoiser_available()):
-        return picture
-    encoding = backbone.spec.image_encoding
-    maps = composite_maps(padded, tuple(n for n in ("albedo", "normal") if padded.has_map(n)))
-    linear = decode_to_linear(picture, encoding)
-    return encode_linear(denoise(linear, maps.get("albedo"), maps.get("normal")), encoding)
+    """From final latents to a picture in the backbone's encoding, denoised as a relight would."""
+    denoised = passes.denoising(backbone.spec, options) == "on"
+    spec, networks = backbone.spec, backbone.networks
+    return passes.develop(networks, spec, view, latents, denoised, Stopwatch())
 
 
 def compose(
     backbone: Backbone,
-    padded: Scene,
+    prepared: Prepared,
     predicted: FloatArray,
     no_shadow: FloatArray,
-    region: BoolArray | None,
+    fidelity: Fidelity,
 ) -> FloatArray:
-    """Background preservation (method §5), sRGB-encoded; what is untouched stays exact.
+    """Put a prediction back into the photograph as a relight does.
 
     Parameters
     ----------
     backbone : Backbone
-    padded : Scene
-    predicted, no_shadow : ndarray of float32, shape (H, W, 3)
-        As `decode` returns them.
-    region : ndarray of bool, shape (H, W), or None
-        Where the photograph may darken; None: everywhere.
+    prepared : Prepared
+        Of one light.
+    predicted, no_shadow : ndarray of float32, shape (h, w, 3)
+        As `develop` returns them.
+    fidelity : {"paper", "release"}
+        The photograph may darken in the shadow's region only, or everywhere.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        sRGB-encoded, in [0, 1].
     """
-    encoding = backbone.spec.image_encoding
-    photograph = np.clip(encode_linear(padded.background, encoding), 0.0, 1.0)
-    composed, untouched = compose_picture(
-        photograph, predicted, no_shadow, padded.object_mask, region
-    )
-    picture = linear_to_srgb(decode_to_linear(composed, encoding))
-    return np.where(untouched[..., None], linear_to_srgb(padded.background), picture)
+    layer = passes.layer(backbone.spec, prepared, 0, predicted, no_shadow, fidelity)
+    return put_back(prepared.scene, prepared.window, [layer], Mix.of(prepared.guides))

@@ -55,11 +55,10 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """One direction of one scene has been scored by so many methods, out of all pictures."""
+    """One direction of one scene has been scored."""
 
     scene: str
     direction: str
-    pictures: int
 
 
 def plan(
@@ -174,7 +173,7 @@ def evaluate(
         for direction, missing in wanted.items():
             if missing:
                 store.add(session.results(direction, missing))
-            yield Done(item.folder.name, direction, len(methods))
+            yield Done(item.folder.name, direction)
 
 
 def picture_file(output: Path, method: str, scene: str, direction: str) -> Path:
@@ -213,7 +212,7 @@ class _Session:
     def results(self, name: str, methods: Sequence[Method]) -> list[Result]:
         """Pictures of one direction by several methods, scored together."""
         (direction,) = (d for d in self._test.directions if d.name == name)
-        self._studio.prepare(methods)
+        self._studio.prepare(methods, direction)
         pictures, seconds = [], []
         for method in methods:
             start = time.perf_counter()

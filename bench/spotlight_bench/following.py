@@ -28,6 +28,7 @@ __all__ = ["distances", "is_near", "is_right", "shading"]
 
 DARKEST_ALBEDO: Final = 0.02
 """Where a channel reflects less, its quotient is noise."""
+WHOLLY_COVERED: Final = 0.99
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 """Of linear Rec. 709 primaries."""
 
@@ -45,9 +46,12 @@ def shading(picture: FloatArray, scene: Scene) -> FloatArray:
     Returns
     -------
     ndarray of float64, shape (pixels,)
-        Of the pixels that the object covers by half or more.
+        Of the pixels that the object covers wholly: divided by a dark albedo, what shines through
+        a soft edge would outweigh the rest. (Where there are none, by half or more.)
     """
-    covered = scene.object_mask >= HALF_COVERED
+    covered = scene.object_mask >= WHOLLY_COVERED
+    if not covered.any():
+        covered = scene.object_mask >= HALF_COVERED
     cover = scene.object_mask[covered][:, None].astype(np.float64)
     albedo = scene.object_maps.albedo[covered] / cover
     light = srgb_to_linear(picture[covered]).astype(np.float64)

@@ -4,54 +4,66 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from spotlight_bench.backbone import Backbone, cleared, compose, decode, last, one_branch
+from spotlight_bench.backbone import Backbone, compose, develop, last
 from spotlight_bench.dataset import Direction, TestScene
 from spotlight_bench.errors import DataError, MethodError
 from spotlight_bench.methods import Method
 from spotlight_bench.sdedit import sdedit_latents, steps_again
-from spotlight_runtime import LoopInputs, RelightOptions, Scene, read_image
+from spotlight_runtime import (
+    GuidingShadow,
+    LoopInputs,
+    RelightOptions,
+    Scene,
+    Window,
+    passes,
+    read_image,
+)
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import linear_to_srgb
-from spotlight_runtime.conditioning import masked_region, over
+from spotlight_runtime.conditioning import over
+from spotlight_runtime.noise import gaussian
+from spotlight_runtime.preparation import Prepared, loop_inputs, prepare_window
 
 __all__ = ["Studio", "foreign_file", "pasted_object"]
 
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".exr")
+_WITHOUT_NETWORK: Final = ("pasted", "folder")
 DARKEST_ALBEDO: Final = 1e-3
 """A background whose mean albedo is below this says nothing about its light."""
 
 
 class Studio:
-    """Makes the pictures of one scene.
+    """Makes the pictures of one scene; SpotLight's are those of `Relighter.relight`.
 
-    The renderer's picture without a shadow (it belongs to the seed, not to the direction) is made
-    once for all methods and directions, the loop's inputs once for all γ and β of a direction.
+    The renderer's picture without a shadow is made once for all methods and directions that share
+    a window (all of them, where the photograph is no larger than the backbone was trained at), the
+    loop's inputs once for all γ and β of a direction.
 
     Parameters
     ----------
     backbone : Backbone
     test : TestScene
     options : RelightOptions
-        Seed, steps, solver, fidelity and denoising; γ and β are the method's.
+        Seed, steps, solver, fidelity, window and denoising; γ and β are the method's.
     """
 
     def __init__(self, backbone: Backbone, test: TestScene, options: RelightOptions) -> None:
         self._backbone = backbone
         self._test = test
         self._options = options
-        self._padded = test.scene.padded(backbone.spec.latent.downscale)
-        self._guided: tuple[str, str, LoopInputs] | None = None
+        self._plain: dict[Window, FloatArray] = {}
+        self._guided: tuple[tuple[str, str], LoopInputs] | None = None
 
-    def prepare(self, methods: Sequence[Method]) -> None:
+    def prepare(self, methods: Sequence[Method], direction: Direction) -> None:
         """Make what these methods share, so that it is not counted to the first of them."""
-        if any(method.kind not in ("pasted", "folder") for method in methods):
-            _ = self._no_shadow
+        for method in methods:
+            if method.kind not in _WITHOUT_NETWORK:
+                self._no_shadow(self._prepared(method, direction))
 
     def picture(self, method: Method, direction: Direction) -> FloatArray:
         """Picture of a method: sRGB-encoded, in [0, 1], float32, shape (H, W, 3).
@@ -65,27 +77,23 @@ class Studio:
         SpotLightError
             As a relight does.
         """
-        scene = self._test.scene
         if method.kind == "folder":
             return _foreign_picture(method, self._test, direction)
         if method.kind == "pasted":
-            return pasted_object(scene)
-        shadow = cleared(direction.shadow, self._padded)
+            return pasted_object(self._test.scene)
+        prepared, fidelity = self._prepared(method, direction), self._options.fidelity
+        no_shadow = self._no_shadow(prepared)
         if method.kind == "no-control":
-            predicted, region = (
-                self._no_shadow,
-                masked_region(0.0 * shadow, self._padded.object_mask),
-            )
-        elif method.kind == "sdedit":
-            latents = sdedit_latents(self._backbone, self._alone, shadow, self._options)
-            # ZeroComp's ratio applies where the shading was hidden: here, everywhere.
-            predicted, region = self._decoded(latents), None
+            return compose(self._backbone, _shadowless(prepared), no_shadow, no_shadow, fidelity)
+        if method.kind == "sdedit":
+            shadow, _ = prepared.shadows[0]
+            latents = sdedit_latents(self._backbone, prepared.view, shadow, self._options)
+            # ZeroComp darkens the photograph where the shading was hidden: here, everywhere.
+            fidelity = "release"
         else:
-            predicted = self._decoded(self._spotlight(method, direction))
-            region = masked_region(shadow, self._padded.object_mask)
-            region = region if self._options.fidelity == "paper" else None
-        picture = compose(self._backbone, self._padded, predicted, self._no_shadow, region)
-        return np.ascontiguousarray(picture[: scene.size[0], : scene.size[1]])
+            latents = self._spotlight(method, direction)
+        predicted = develop(self._backbone, prepared.view, latents, self._options)
+        return compose(self._backbone, prepared, predicted, no_shadow, fidelity)
 
     def evaluations(self, method: Method) -> int:
         """Denoiser evaluations of one picture, without those of the shared one."""
@@ -94,42 +102,62 @@ class Studio:
             return steps + steps_again(steps)
         return steps * method.branches if method.kind == "spotlight" else 0
 
-    @cached_property
-    def _alone(self) -> LoopInputs:
-        """Inputs of the renderer without a shadow."""
-        none = np.zeros(self._test.scene.size, np.float32)
-        return one_branch(self._inputs(none, None))
-
-    @cached_property
-    def _no_shadow(self) -> FloatArray:
-        unguided = replace(self._options, beta=0.0)
-        return self._decoded(last(self._backbone.relighter.trajectory(self._alone, unguided)))
-
-    def _spotlight(self, method: Method, direction: Direction) -> FloatArray:
-        if method.negative == "opposite" and direction.opposite is None:
+    def _prepared(self, method: Method, direction: Direction) -> Prepared:
+        negative = direction.opposite if method.negative == "opposite" else None
+        if method.kind == "spotlight" and method.negative == "opposite" and negative is None:
             raise DataError(
                 f"{self._test.folder}: expected shadow_negative_{direction.name}.png for method "
                 f"{method.name}, found none; add it or evaluate --methods negative-none"
             )
-        inputs = self._guided_inputs(method, direction)
+        guide = GuidingShadow(direction.shadow, negative)
+        guide.check(self._test.scene.size)
+        options = self._options
+        return prepare_window(self._backbone.spec, self._test.scene, [guide], options.window)
+
+    def _no_shadow(self, prepared: Prepared) -> FloatArray:
+        if prepared.window not in self._plain:
+            spec, view, options = self._backbone.spec, prepared.view, self._options
+            latent = spec.latent
+            shape = (1, latent.channels, *(side // latent.downscale for side in view.size))
+            noise = gaussian(options.seed, "initial", shape)
+            trajectory = passes.plain_pass(self._backbone.networks, spec, view, noise, options)
+            self._plain[prepared.window] = develop(self._backbone, view, last(trajectory), options)
+        return self._plain[prepared.window]
+
+    def _spotlight(self, method: Method, direction: Direction) -> FloatArray:
+        inputs = self._inputs(method, direction)
+        if method.branches == 1:
+            inputs = _one_branch(inputs)
         options = replace(self._options, gamma=method.gamma, beta=method.beta)
-        inputs = inputs if method.branches == 2 else one_branch(inputs)
-        return last(self._backbone.relighter.trajectory(inputs, options))
+        spec, networks = self._backbone.spec, self._backbone.networks
+        return last(passes.guided_pass(networks, spec, inputs, options))
 
-    def _guided_inputs(self, method: Method, direction: Direction) -> LoopInputs:
+    def _inputs(self, method: Method, direction: Direction) -> LoopInputs:
         wanted = (direction.name, method.negative)
-        if self._guided is None or self._guided[:2] != wanted:
-            negative = direction.opposite if method.negative == "opposite" else None
-            self._guided = (*wanted, self._inputs(direction.shadow, negative))
-        return self._guided[2]
+        if self._guided is None or self._guided[0] != wanted:
+            prepared = self._prepared(method, direction)
+            networks, spec = self._backbone.networks, self._backbone.spec
+            shadows = prepared.shadows[0]
+            made = loop_inputs(networks, spec, prepared.view, shadows, self._options)
+            self._guided = (wanted, made)
+        return self._guided[1]
 
-    def _inputs(self, shadow: FloatArray, negative: FloatArray | None) -> LoopInputs:
-        return self._backbone.relighter.loop_inputs(
-            self._test.scene, shadow, negative, self._options
-        )
 
-    def _decoded(self, latents: FloatArray) -> FloatArray:
-        return decode(self._backbone, latents, self._padded, self._options)
+def _one_branch(inputs: LoopInputs) -> LoopInputs:
+    """The positive branch alone: no guidance."""
+    return replace(
+        inputs,
+        conditioning=inputs.conditioning[:1],
+        composite_latents=inputs.composite_latents[:1],
+        shadow_mask=inputs.shadow_mask[:1],
+    )
+
+
+def _shadowless(prepared: Prepared) -> Prepared:
+    """The same window without a guiding shadow, so that nothing darkens the photograph."""
+    guide = GuidingShadow(np.zeros_like(prepared.guides[0].positive))
+    none = np.zeros_like(prepared.view.object_mask)
+    return replace(prepared, guides=(guide,), shadows=((none, none),))
 
 
 def pasted_object(scene: Scene) -> FloatArray:

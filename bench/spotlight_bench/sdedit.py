@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 
 from spotlight_bench.backbone import Backbone, last
-from spotlight_runtime import LoopInputs, RelightOptions
+from spotlight_runtime import RelightOptions, Scene
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.blending import add_noise
 from spotlight_runtime.codec import encode_conditioning
+from spotlight_runtime.conditioning import conditioning_array
 from spotlight_runtime.models import predictor
 from spotlight_runtime.noise import gaussian
 from spotlight_runtime.sampler import sample
@@ -32,17 +33,17 @@ NOISED_SHARE: Final = 0.5
 
 
 def sdedit_latents(
-    backbone: Backbone, inputs: LoopInputs, shadow: FloatArray, options: RelightOptions
+    backbone: Backbone, view: Scene, shadow: FloatArray, options: RelightOptions
 ) -> FloatArray:
     """Final latents of the baseline.
 
     Parameters
     ----------
     backbone : Backbone
-    inputs : LoopInputs
-        Of the renderer alone: one branch, shading hidden under the object only.
-    shadow : ndarray of float32, shape (H, W)
-        Guiding shadow, cleared under the object.
+    view : Scene
+        At the model's scale, as `Prepared` has it.
+    shadow : ndarray of float32, shape (h, w)
+        Guiding shadow of the view, cleared under the object.
     options : RelightOptions
         Seed, steps and solver apply.
 
@@ -50,25 +51,26 @@ def sdedit_latents(
     -------
     ndarray of float32, shape (1, C, h, w)
     """
-    spec = backbone.spec
-    opaque = np.float32(options.shadow_opacity) * shadow
-    first = replace(inputs, conditioning=shadowed_shading(spec, inputs.conditioning, opaque))
-    unguided = replace(options, beta=0.0)
-    latents = last(backbone.relighter.trajectory(first, unguided))
-
+    spec, latent = backbone.spec, backbone.spec.latent
+    shape = (1, latent.channels, *(side // latent.downscale for side in view.size))
+    plain = conditioning_array(spec, view, np.zeros_like(shadow))
     schedule = Schedule.trailing(spec.schedule, options.steps_for(spec))
+
+    def run(conditioning: FloatArray, latents: FloatArray, steps: Schedule) -> FloatArray:
+        condition = encode_conditioning(backbone.networks, conditioning[None])
+        predict = predictor(backbone.networks, condition, spec.schedule)
+        return last(sample(predict, latents, make_solver(options.solver, steps)))
+
+    shadowed = shadowed_shading(spec, plain, np.float32(options.shadow_opacity) * shadow)
+    first = run(shadowed, gaussian(options.seed, "initial", shape), schedule)
     start = len(schedule) - steps_again(len(schedule))
     # The start's own noise would lead back to the start's own picture.
-    noise = gaussian(options.seed, "step", inputs.initial_noise.shape)
-    noised = add_noise(latents, noise, float(schedule.alpha_bar[start]))
+    noise = gaussian(options.seed, "step", shape)
+    noised = add_noise(first, noise, float(schedule.alpha_bar[start])).astype(np.float32)
     rest = replace(
         schedule, timesteps=schedule.timesteps[start:], alpha_bar=schedule.alpha_bar[start:]
     )
-    blind = hidden_everywhere(spec, inputs.conditioning)
-    predict = predictor(
-        backbone.networks, encode_conditioning(backbone.networks, blind), spec.schedule
-    )
-    return last(sample(predict, noised.astype(np.float32), make_solver(options.solver, rest)))
+    return run(hidden_everywhere(spec, plain), noised, rest)
 
 
 def steps_again(steps: int) -> int:
@@ -84,27 +86,27 @@ def shadowed_shading(
     Parameters
     ----------
     spec : BackboneSpec
-    conditioning : ndarray of float32, shape (1, K, H, W)
-    shadow : ndarray of float32, shape (H, W)
+    conditioning : ndarray of float32, shape (K, h, w)
+    shadow : ndarray of float32, shape (h, w)
 
     Returns
     -------
-    ndarray of float32, shape (1, K, H, W)
+    ndarray of float32, shape (K, h, w)
     """
     result = conditioning.copy()
     for entry, planes in _maps(spec, "shading"):
-        known = conditioning[:, planes]
+        known = conditioning[planes]
         darker = np.clip(known * (np.float32(1.0) - shadow), entry.minimum, entry.maximum)
-        result[:, planes] = np.where(known == np.float32(_fill(entry)), known, darker)
+        result[planes] = np.where(known == np.float32(_fill(entry)), known, darker)
     return result
 
 
 def hidden_everywhere(spec: BackboneSpec, conditioning: FloatArray) -> FloatArray:
-    """Conditioning, shape (1, K, H, W), with the shading of the whole picture hidden."""
+    """Conditioning, shape (K, h, w), with the shading of the whole picture hidden."""
     result = conditioning.copy()
     for name in ("shading", "mask"):
         for entry, planes in _maps(spec, name):
-            result[:, planes] = np.float32(_fill(entry))
+            result[planes] = np.float32(_fill(entry))
     return result
 
 

@@ -1,0 +1,223 @@
+"""``spotlight compose``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.backdrop import CAMERA_HEIGHT, build_backdrop, combine_maps, read_map
+from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from spotlight_runtime.compose import compose as compose_scene
+from spotlight_runtime.compose import draft
+from spotlight_runtime.cutout import Cutout, estimate_cutout, read_cutout
+from spotlight_runtime.errors import InvalidInputError, MissingMapError
+from spotlight_runtime.estimator import estimate_intrinsics
+from spotlight_runtime.images import check_target, write_image
+from spotlight_runtime.models import open_networks, resolve_model
+from spotlight_runtime.photograph import (
+    Photograph,
+    crop_panorama,
+    expose,
+    horizon_of,
+    read_photograph,
+)
+from spotlight_runtime.posing import Placement
+from spotlight_runtime.product import Product
+from spotlight_runtime.product_files import PRODUCT_SUFFIXES, load_product
+from spotlight_runtime.sessions import Network
+
+__all__ = ["compose"]
+
+
+ESTIMATOR_GRAPH = "intrinsics"
+CROP = "640x480"
+
+
+def compose(
+    background: Annotated[
+        Path, typer.Option(help="Photograph: PNG, JPEG, WebP, or linear HDR, EXR.")
+    ],
+    item: Annotated[
+        Path,
+        typer.Option(
+            "--object", help="3-D model (.glb, .gltf, .obj), or a picture of the object cut out."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Scene folder to write.")],
+    at: Annotated[
+        str,
+        typer.Option(
+            metavar="X,Y",
+            help="Where the middle of its underside touches the floor: fractions of the picture "
+            "or pixels, from the upper left.",
+        ),
+    ] = "0.5,0.8",
+    yaw: Annotated[
+        float, typer.Option(help="Turn, in degrees counter-clockwise seen from above.")
+    ] = 0.0,
+    size: Annotated[
+        float | None,
+        typer.Option(help="Longest side in metres.", show_default="the model's own"),
+    ] = None,
+    height: Annotated[float | None, typer.Option(help="Instead, the height in metres.")] = None,
+    variant: Annotated[str | None, typer.Option(help="Which of a glTF's variants.")] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="Of a cut-out without alpha: white on the object.")
+    ] = None,
+    occlusion: Annotated[
+        bool, typer.Option(help="Let what stands nearer in the photograph hide the object.")
+    ] = True,
+    fov: Annotated[
+        float | None,
+        typer.Option(
+            help="Horizontal field of view, degrees.",
+            show_default=f"EXIF, {DEFAULT_FIELD_OF_VIEW:g}",
+        ),
+    ] = None,
+    panorama: Annotated[
+        str | None,
+        typer.Option(
+            metavar="YAW,PITCH",
+            help="The background is an equirectangular panorama: look that many degrees to the "
+            "right of its middle and above its horizon.",
+        ),
+    ] = None,
+    crop: Annotated[
+        str, typer.Option(metavar="WxH", help="Size in pixels of the view of a panorama.")
+    ] = CROP,
+    exposure: Annotated[
+        float | None,
+        typer.Option(
+            help="Stops to brighten the background by.", show_default="HDR and EXR: to fit"
+        ),
+    ] = None,
+    horizon: Annotated[
+        float | None,
+        typer.Option(
+            help="Row of the horizon, as a fraction of the height; with --at it places the floor.",
+            show_default="the floor is found",
+        ),
+    ] = None,
+    camera_height: Annotated[
+        float | None,
+        typer.Option(
+            help="Metres from the floor to the camera, which give the depth its scale.",
+            show_default=f"{CAMERA_HEIGHT}, or what --depth says",
+        ),
+    ] = None,
+    albedo: Annotated[Path | None, typer.Option(help="The background's albedo.")] = None,
+    normal: Annotated[Path | None, typer.Option(help="The background's normals.")] = None,
+    depth: Annotated[Path | None, typer.Option(help="The background's depth.")] = None,
+    depth_scale: Annotated[
+        float, typer.Option(help="Metres per unit of the depth map; 65.535 for millimetres in PNG.")
+    ] = 1.0,
+    roughness: Annotated[Path | None, typer.Option(help="The background's roughness.")] = None,
+    metallic: Annotated[Path | None, typer.Option(help="The background's metalness.")] = None,
+    estimator: Annotated[
+        str, typer.Option(help="Model that estimates what maps are not given.")
+    ] = "mini",
+    preview: Annotated[
+        Path | None,
+        typer.Option(help="Quick look at the scene.", show_default="preview.png in the scene"),
+    ] = None,
+) -> None:
+    """Put an object into a photograph: what comes out is a scene to relight.
+
+    Example: spotlight compose --background room.jpg --object chair.glb --at 0.5,0.8 --yaw 30
+    --size 0.9 -o chair-in-room/
+    """
+    if preview is not None:
+        check_target(preview)
+    photograph, level = _photograph(background, fov, exposure, panorama, crop)
+    point = _pair("--at", at)
+    if max(point) > 1.0:
+        point = (point[0] / photograph.size[1], point[1] / photograph.size[0])
+    placement = Placement(point, yaw, size, height)
+    paths = {
+        "albedo": albedo,
+        "normal": normal,
+        "depth": depth,
+        "roughness": roughness,
+        "metallic": metallic,
+    }
+    given: dict[str, FloatArray] = {
+        name: read_map(path, name, photograph.size, depth_scale)
+        for name, path in paths.items()
+        if path is not None
+    }
+    thing = _object(item, variant, mask)
+    estimated = None
+    if isinstance(thing, Cutout) or not {"albedo", "normal", "depth"} <= set(given):
+        network = _estimator(estimator)
+        if not {"albedo", "normal", "depth"} <= set(given):
+            estimated = estimate_intrinsics(network, photograph)
+        if isinstance(thing, Cutout):
+            thing = estimate_cutout(network, thing)
+    maps = combine_maps(given, estimated)
+    if camera_height is None and depth is None:
+        camera_height = CAMERA_HEIGHT
+    backdrop = build_backdrop(
+        photograph,
+        maps,
+        contact=point,
+        horizon=level if horizon is None else horizon,
+        camera_height=camera_height,
+    )
+    scene = compose_scene(backdrop, thing, placement, occluded=occlusion)
+    scene.save(output)
+    write_image(output / "preview.png" if preview is None else preview, draft(scene))
+    covered = float(scene.object_mask.mean())
+    print(f"{output}: the object covers {covered:.1%} of the picture", file=sys.stderr)
+
+
+def _photograph(
+    path: Path, fov: float | None, exposure: float | None, panorama: str | None, crop: str
+) -> tuple[Photograph, float | None]:
+    """The photograph, and the row of its horizon where a panorama gives it."""
+    if panorama is None:
+        return read_photograph(path, fov, exposure), None
+    yaw, pitch = _pair("--panorama", panorama)
+    width, _, height = crop.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise InvalidInputError(f"--crop: expected width x height such as {CROP}, got {crop!r}")
+    camera = Camera(int(width), int(height), fov or DEFAULT_FIELD_OF_VIEW)
+    view = crop_panorama(read_photograph(path, exposure=exposure or 0.0), yaw, pitch, camera)
+    if exposure is None:
+        view = Photograph(expose(view.radiance), view.field_of_view, view.name)
+    return view, horizon_of(camera, pitch)
+
+
+def _object(path: Path, variant: str | None, mask: Path | None) -> Product | Cutout:
+    if path.suffix.lower() not in PRODUCT_SUFFIXES:
+        if variant is not None:
+            raise InvalidInputError("--variant: a cut-out has none; leave it out")
+        return read_cutout(path, mask)
+    if mask is not None:
+        raise InvalidInputError("--mask: a 3-D model needs none; leave it out")
+    return load_product(path, variant)
+
+
+def _estimator(model: str) -> Network:
+    folder = resolve_model(model)
+    names = [graph.name for graph in folder.manifest.graphs]
+    if ESTIMATOR_GRAPH not in names:
+        raise MissingMapError(
+            f"estimator {model!r}: expected a model with the graph {ESTIMATOR_GRAPH!r}, which "
+            f"estimates maps, got one with {', '.join(names)}; name another (--estimator), or "
+            "give --albedo, --normal and --depth"
+        )
+    return open_networks(folder)[ESTIMATOR_GRAPH]
+
+
+def _pair(option: str, text: str) -> tuple[float, float]:
+    try:
+        first, second = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidInputError(
+            f"{option}: expected two numbers with a comma between, got {text!r}"
+        ) from None
+    return first, second

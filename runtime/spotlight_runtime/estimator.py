@@ -1,0 +1,170 @@
+"""A photograph's albedo, normals and depth, by a network that is handed in.
+
+The network sees the photograph at its own scale. What it says is brought back to the photograph's
+pixels by a guided filter (He and Sun 2015, "Fast guided filter"): each map is locally linear in the
+picture, so it follows the picture's edges. Albedo comes back through its opposite: the *shading*,
+picture ÷ albedo, is what is smooth, so it is enlarged and the photograph divided by it keeps its
+texture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import cv2
+import numpy as np
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.errors import NumericalError
+from spotlight_runtime.photograph import Photograph
+from spotlight_runtime.scene import Intrinsics
+from spotlight_runtime.sessions import Network
+from spotlight_runtime.upsampling import magnify_rows
+
+__all__ = ["estimate_intrinsics", "estimate_small", "follow_picture", "shrink_picture"]
+
+
+WORKING_SIDE: Final = 384
+"""Pixels of the longer side that the network sees, about what it was trained on."""
+MULTIPLE: Final = 32
+"""The network halves five times, so its sides are multiples of this."""
+REACH: Final = 2
+"""Radius of the guided filter in pixels of the network's scale."""
+SMOOTHNESS: Final = 1e-3
+"""Variance of the encoded picture below which the filter sees no edge."""
+DARKEST: Final = np.float32(1e-3)
+"""Linear light and albedo below which their quotient says nothing."""
+NEAREST: Final = 1e-3
+"""Least depth, in the network's units."""
+STRIP_PIXELS: Final = 1 << 19
+
+
+def estimate_intrinsics(network: Network, photograph: Photograph) -> Intrinsics:
+    """Estimate albedo, normals and depth at the photograph's size.
+
+    Parameters
+    ----------
+    network : callable
+        ``network(image=(1, 3, h, w))["maps"]``: float32, (1, 7, h, w). The image is sRGB-encoded
+        in [0, 1], with sides that are multiples of `MULTIPLE`; the maps are albedo in [0, 1],
+        unit normals in camera space, and positive depth up to scale.
+    photograph : Photograph
+
+    Returns
+    -------
+    Intrinsics
+        Depth is in the network's own unit.
+
+    Raises
+    ------
+    NumericalError
+        If the network says NaN or infinity.
+    """
+    small = estimate_small(network, photograph)
+    radiance = photograph.radiance
+    albedo = np.empty_like(radiance)
+    normal = np.empty_like(radiance)
+    depth = np.empty(photograph.size, dtype=np.float32)
+    assert small.normal is not None, "estimate_small gives all three"
+    assert small.depth is not None, "estimate_small gives all three"
+    picture = shrink_picture(radiance, small.albedo.shape[:2])
+    shading = np.maximum(picture, DARKEST) / np.maximum(small.albedo, DARKEST)
+    wanted = np.concatenate([np.log(shading), small.normal, np.log(small.depth)[..., None]], axis=2)
+    for top, bottom, maps in follow_picture(wanted, picture, radiance):
+        strip = np.s_[top:bottom]
+        np.divide(radiance[strip], np.exp(maps[..., :3]), out=albedo[strip])
+        # Where the picture is black it says nothing, and the network's guess is as good as 0.
+        np.clip(albedo[strip], 0.0, 1.0, out=albedo[strip])
+        vectors = maps[..., 3:6]
+        length = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
+        normal[strip] = vectors / np.maximum(length, np.float32(1e-6))[..., None]
+        np.exp(maps[..., 6], out=depth[strip])
+    return Intrinsics(albedo=albedo, normal=normal, depth=depth)
+
+
+def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
+    """Ask the network, at its own scale; see `estimate_intrinsics`.
+
+    Returns
+    -------
+    Intrinsics
+        Of shape (h, w), the photograph's shrunk to `WORKING_SIDE`.
+    """
+    height, width = photograph.size
+    factor = min(1.0, WORKING_SIDE / max(height, width))
+    high, wide = (max(MULTIPLE, round(s * factor / MULTIPLE) * MULTIPLE) for s in (height, width))
+    picture = linear_to_srgb(shrink_picture(photograph.radiance, (high, wide)))
+    image = np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
+    maps = np.asarray(network(image=image)["maps"], dtype=np.float32)
+    if not np.isfinite(maps).all():
+        raise NumericalError(
+            f"{photograph.name}: the estimator returned NaN or infinity for the photograph; "
+            "give the maps instead (--albedo, --normal, --depth)"
+        )
+    planes = maps[0].transpose(1, 2, 0)
+    length = np.linalg.norm(planes[..., 3:6], axis=2, keepdims=True)
+    return Intrinsics(
+        albedo=np.clip(planes[..., :3], 0.0, 1.0),
+        normal=planes[..., 3:6] / np.maximum(length, np.float32(1e-6)),
+        depth=np.maximum(planes[..., 6], np.float32(NEAREST)),
+    )
+
+
+def follow_picture(
+    values: FloatArray, picture: FloatArray, radiance: FloatArray
+) -> Iterator[tuple[int, int, FloatArray]]:
+    """Enlarge maps so that they follow the edges of a picture.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (h, w, C)
+        At the small scale.
+    picture : ndarray of float32, shape (h, w, 3)
+        The picture there, linear.
+    radiance : ndarray of float32, shape (H, W, 3)
+        The picture, linear.
+
+    Yields
+    ------
+    top, bottom : int
+        Rows of the picture.
+    maps : ndarray of float32, shape (bottom − top, W, C)
+        The maps there.
+    """
+    guide = _guide(picture)
+    height, width = radiance.shape[:2]
+    mean = _box(guide)
+    spread = _box(guide * guide) - mean * mean
+    level = _box(values)
+    slope = _box(values * guide[..., None]) - level * mean[..., None]
+    slope /= (np.maximum(spread, 0.0) + np.float32(SMOOTHNESS))[..., None]
+    constant = _box(level - slope * mean[..., None])
+    fit = np.concatenate([_box(slope), constant], axis=2)
+    channels = values.shape[2]
+    step = max(1, STRIP_PIXELS // width)
+    for top in range(0, height, step):
+        bottom = min(top + step, height)
+        large = magnify_rows(fit, top, bottom, (height, width))
+        fine = _guide(radiance[top:bottom])[..., None]
+        yield top, bottom, large[..., :channels] * fine + large[..., channels:]
+
+
+def _box(array: FloatArray) -> FloatArray:
+    side = 2 * REACH + 1
+    return np.asarray(cv2.blur(array, (side, side), borderType=cv2.BORDER_REPLICATE))
+
+
+def shrink_picture(image: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Resize an image of shape (H, W, C) to (h, w, C), averaging where it shrinks."""
+    if image.shape[:2] == size:
+        return image
+    larger = size[0] > image.shape[0] or size[1] > image.shape[1]
+    kind = cv2.INTER_LINEAR if larger else cv2.INTER_AREA
+    return np.asarray(cv2.resize(image, (size[1], size[0]), interpolation=kind))
+
+
+def _guide(linear: FloatArray) -> FloatArray:
+    """What edges are looked for in: luma of linear light, encoded once instead of by channel."""
+    return linear_to_srgb(linear @ np.float32([0.299, 0.587, 0.114]))

@@ -1,0 +1,579 @@
+"""Models read as their formats say, and every way a file can be none."""
+
+import base64
+import json
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.models import (
+    QUAD,
+    QUAD_FACES,
+    QUAD_UV,
+    GltfBuilder,
+    box_arrays,
+    glb,
+    sphere_arrays,
+    write_box,
+)
+
+from spotlight_runtime.errors import (
+    ImageFileError,
+    InvalidInputError,
+    MissingExtraError,
+    ProductError,
+    SpotLightError,
+    UnsafePathError,
+)
+from spotlight_runtime.product import assemble, smooth_normals, weld
+
+pytest.importorskip("embreex", reason="products need the extra scene")
+pytest.importorskip("trimesh", reason="products need the extra scene")
+
+from spotlight_runtime import product_files
+from spotlight_runtime.product_files import load_product
+
+
+def corners(product):
+    """World positions of the faces' corners, order-free."""
+    return np.sort(product.vertices[product.faces].reshape(-1, 9), axis=0)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_box_in_both_containers(tmp_path, suffix):
+    product = load_product(write_box(tmp_path / f"box{suffix}", (1.0, 2.0, 3.0)))
+    low, high = product.bounds
+    np.testing.assert_allclose(low, [-0.5, 0.0, -1.5])
+    np.testing.assert_allclose(high, [0.5, 2.0, 1.5])
+    assert len(product.faces) == 12
+    assert product.name == "box"
+
+
+def test_normals_of_a_box_without_them_are_its_faces(tmp_path):
+    product = load_product(write_box(tmp_path / "box.glb"))
+    points = product.vertices[product.faces]
+    flat = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    for corner in range(3):
+        np.testing.assert_allclose(product.normals[product.faces[:, corner]], flat, atol=1e-6)
+
+
+def test_normals_of_a_sphere_without_them_are_smooth():
+    vertices, faces, exact = sphere_arrays(2.0, rings=30)
+    faces = faces[60:-60]  # at the poles a side of each first triangle is a point
+    angles = np.einsum("fcx,fcx->fc", smooth_normals(vertices, faces), exact[faces])
+    assert np.degrees(np.arccos(np.clip(angles, -1, 1))).max() < 2.0
+
+
+def test_weld_finds_the_same_places_and_no_others(rng):
+    points = rng.normal(size=(500, 3)).astype(np.float32)
+    points[250:] = points[rng.integers(250, size=250)]
+    points[0], points[1] = [0.0, 1.0, -0.0], [-0.0, 1.0, 0.0]
+    wanted = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+    found = weld(points)
+    assert ((found[:, None] == found[None]) == (wanted[:, None] == wanted[None])).all()
+
+
+def test_scene_graph_moves_turns_scales_and_nests(tmp_path):
+    builder = GltfBuilder()
+    triangle = builder.primitive([0, 1, 2], POSITION=builder.accessor(np.eye(3)))
+    child = builder.node(triangle, root=False, translation=[1, 0, 0], scale=[2, 2, 2])
+    half = np.sqrt(0.5)
+    builder.node(rotation=[0, half, 0, half], children=[child])  # a quarter turn about y
+    matrix = np.diag([1.0, 3.0, 1.0, 1.0])
+    matrix[:3, 3] = [0, 5, 0]
+    builder.tree["nodes"].append({"mesh": 0, "matrix": matrix.T.ravel().tolist()})
+    builder.tree["scenes"][0]["nodes"].append(2)
+    product = load_product(builder.write(tmp_path / "nested.glb"))
+    turned = (np.eye(3) * 2 + [1, 0, 0]) @ np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    np.testing.assert_allclose(product.vertices[product.faces[0]], turned, atol=1e-6)
+    raised = np.eye(3) * [1, 3, 1] + [0, 5, 0]
+    np.testing.assert_allclose(product.vertices[product.faces[1]], raised, atol=1e-6)
+
+
+def test_normals_survive_uneven_scale(tmp_path):
+    builder = GltfBuilder()
+    slope = np.float32([[0, 0, 0], [1, 1, 0], [0, 0, -1]])
+    normal = np.tile(np.float32([-1, 1, 0]) / np.sqrt(2), (3, 1))
+    primitive = builder.primitive(
+        [0, 1, 2], POSITION=builder.accessor(slope), NORMAL=builder.accessor(normal)
+    )
+    builder.node(primitive, scale=[2, 1, 1])
+    product = load_product(builder.write(tmp_path / "scaled.glb"))
+    np.testing.assert_allclose(product.normals[0], np.array([-1, 2, 0]) / np.sqrt(5), atol=1e-6)
+
+
+def test_no_scene_means_all_roots(tmp_path):
+    builder = GltfBuilder()
+    builder.node(builder.primitive(QUAD_FACES, POSITION=builder.accessor(QUAD)))
+    del builder.tree["scenes"], builder.tree["scene"]
+    assert len(load_product(builder.write(tmp_path / "a.glb")).faces) == 2
+
+
+@pytest.mark.parametrize(
+    ("mode", "order", "wanted"),
+    [
+        (4, [0, 1, 2, 2, 1, 3], [[0, 1, 2], [2, 1, 3]]),
+        (5, [0, 1, 2, 3], [[0, 1, 2], [3, 2, 1]]),
+        (6, [0, 1, 3, 2], [[0, 1, 3], [0, 3, 2]]),
+        (5, None, [[0, 1, 2], [3, 2, 1]]),
+    ],
+)
+def test_lists_strips_and_fans(tmp_path, mode, order, wanted):
+    builder = GltfBuilder()
+    points = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    normals = builder.accessor(np.tile(np.float32([0, 0, 1]), (4, 1)))
+    builder.node(
+        builder.primitive(order, POSITION=builder.accessor(points), NORMAL=normals, mode=mode)
+    )
+    found = load_product(builder.write(tmp_path / "a.glb")).faces
+    rolled = [sorted(np.roll(face, k).tolist() for k in range(3)) for face in found]
+    assert rolled == [sorted(np.roll(face, k).tolist() for k in range(3)) for face in wanted]
+
+
+def test_lines_and_points_are_passed_over(tmp_path):
+    builder = GltfBuilder()
+    at = builder.accessor(QUAD)
+    builder.node(
+        builder.primitive([0, 1], POSITION=at, mode=1),
+        builder.primitive(QUAD_FACES, POSITION=at),
+        builder.primitive(None, POSITION=at, mode=0),
+    )
+    assert len(load_product(builder.write(tmp_path / "a.glb")).faces) == 2
+
+
+def test_interleaved_sparse_and_normalised_accessors(tmp_path):
+    builder = GltfBuilder()
+    rows = np.zeros(4, dtype=[("p", "<f4", 3), ("uv", "<u2", 2)])
+    rows["p"], rows["uv"] = QUAD, np.round(QUAD_UV * 65535)
+    view = builder.view(rows.tobytes(), byteStride=rows.dtype.itemsize)
+    common = {"bufferView": view, "count": 4}
+    builder.tree["accessors"] += [
+        {**common, "componentType": 5126, "type": "VEC3"},
+        {**common, "componentType": 5123, "type": "VEC2", "byteOffset": 12, "normalized": True},
+    ]
+    builder.tree["accessors"][0]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": builder.view(np.uint16([2]).tobytes()), "componentType": 5123},
+        "values": {"bufferView": builder.view(np.float32([9, 9, 9]).tobytes())},
+    }
+    builder.node(builder.primitive(QUAD_FACES, POSITION=0, TEXCOORD_0=1))
+    product = load_product(builder.write(tmp_path / "a.glb"))
+    wanted = QUAD.copy()
+    wanted[2] = 9
+    np.testing.assert_allclose(product.vertices, wanted[QUAD_FACES.ravel()])
+    np.testing.assert_allclose(product.uv[:, 0], QUAD_UV[QUAD_FACES.ravel()])
+
+
+def test_positions_that_are_only_sparse_start_at_zero(tmp_path):
+    builder = GltfBuilder()
+    builder.tree["accessors"].append(
+        {
+            "count": 3,
+            "componentType": 5126,
+            "type": "VEC3",
+            "sparse": {
+                "count": 2,
+                "indices": {"bufferView": builder.view(b"\1\2"), "componentType": 5121},
+                "values": {"bufferView": builder.view(np.eye(3, dtype="<f4")[:2].tobytes())},
+            },
+        }
+    )
+    builder.node(builder.primitive([0, 1, 2], POSITION=0))
+    product = load_product(builder.write(tmp_path / "a.glb"))
+    np.testing.assert_array_equal(product.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+
+
+def test_material_factors_and_defaults(tmp_path):
+    pbr = {"baseColorFactor": [0.1, 0.2, 0.3, 0.5], "metallicFactor": 0.25, "roughnessFactor": 0.75}
+    path = write_box(
+        tmp_path / "a.glb", pbrMetallicRoughness=pbr, alphaMode="MASK", alphaCutoff=0.3
+    )
+    material = load_product(path).materials[0]
+    assert material.base_colour == (0.1, 0.2, 0.3, 0.5)
+    assert (material.metallic, material.roughness) == (0.25, 0.75)
+    assert (material.alpha, material.alpha_cutoff) == ("mask", 0.3)
+    plain = load_product(write_box(tmp_path / "b.glb", name="plain")).materials[0]
+    assert plain.base_colour == (1.0, 1.0, 1.0, 1.0)
+    assert (plain.metallic, plain.roughness, plain.alpha) == (1.0, 1.0, "opaque")
+
+
+def test_old_specular_glossiness_materials_keep_their_colour(tmp_path):
+    old = {"diffuseFactor": [0.1, 0.2, 0.3, 1.0], "glossinessFactor": 0.4}
+    path = write_box(tmp_path / "a.glb", extensions={"KHR_materials_pbrSpecularGlossiness": old})
+    material = load_product(path).materials[0]
+    assert material.base_colour == (0.1, 0.2, 0.3, 1.0)
+    assert material.metallic == 0.0
+    assert material.roughness == pytest.approx(0.6)
+
+
+def test_variants_by_name(tmp_path):
+    builder = GltfBuilder()
+    names = ["Oak", "Pine"]
+    for i in range(3):
+        builder.material(pbrMetallicRoughness={"roughnessFactor": 0.1 * (i + 1)})
+    primitive = builder.primitive(QUAD_FACES, POSITION=builder.accessor(QUAD), material=0)
+    mappings = [{"material": 1, "variants": [0]}, {"material": 2, "variants": [1]}]
+    primitive["extensions"] = {"KHR_materials_variants": {"mappings": mappings}}
+    builder.tree["extensions"] = {
+        "KHR_materials_variants": {"variants": [{"name": name} for name in names]}
+    }
+    builder.tree["extensionsRequired"] = ["KHR_materials_variants"]
+    builder.node(primitive)
+    path = builder.write(tmp_path / "a.glb")
+    for variant, roughness in ((None, 0.1), ("Oak", 0.2), ("pine", 0.3)):
+        assert load_product(path, variant).materials[0].roughness == pytest.approx(roughness)
+    with pytest.raises(InvalidInputError, match=r"expected one of Oak, Pine, got 'Elm'"):
+        load_product(path, "Elm")
+    with pytest.raises(InvalidInputError, match="the model has no variants"):
+        load_product(write_box(tmp_path / "b.glb"), "Oak")
+
+
+def obj_files(folder, *, material="newmtl red\nKd 0.5 0.25 0.0\nNs 98\n", lines=""):
+    (folder / "a.mtl").write_text(material)
+    vertices, faces = box_arrays((1, 1, 1))
+    text = "mtllib a.mtl\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in vertices)
+    text += lines + "usemtl red\n" + "".join(f"f {a} {b} {c}\n" for a, b, c in faces + 1)
+    (folder / "a.obj").write_text(text)
+    return folder / "a.obj"
+
+
+def test_obj_with_its_material(tmp_path):
+    product = load_product(obj_files(tmp_path))
+    assert len(product.faces) == 12
+    low, high = product.bounds
+    np.testing.assert_allclose([low, high], [[-0.5, 0, -0.5], [0.5, 1, 0.5]])
+    red, green, blue, alpha = product.materials[0].base_colour
+    assert (red, green, blue, alpha) == pytest.approx((0.5, 0.25, 0.0, 1.0), abs=0.01)
+    assert product.materials[0].roughness == pytest.approx(np.sqrt(2 / 100))
+    assert product.materials[0].metallic == 0.0
+    assert product.materials[0].alpha == "opaque"
+
+
+def test_obj_that_is_half_clear(tmp_path):
+    product = load_product(obj_files(tmp_path, material="newmtl red\nd 0.5\n"))
+    assert product.materials[0].alpha == "blend"
+    assert product.materials[0].base_colour[3] == 0.5
+
+
+def test_obj_texture_is_upright(tmp_path):
+    picture = np.zeros((4, 4, 3), np.uint8)
+    picture[0] = 255  # the top row is white
+    cv2.imwrite(str(tmp_path / "t.png"), picture)
+    (tmp_path / "a.mtl").write_text("newmtl m\nKd 0 0 0\nmap_Kd t.png\n")
+    (tmp_path / "a.obj").write_text(
+        "mtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    )
+    product = load_product(tmp_path / "a.obj")
+    texture = product.materials[0].base_texture
+    assert product.materials[0].base_colour[:3] == (1.0, 1.0, 1.0)
+    near_top = texture.sample(np.float32([[0.5, 0.125], [0.5, 0.625]]), np.zeros(2, np.float32))
+    np.testing.assert_allclose(near_top[:, 0], [1.0, 0.0], atol=0.02)
+    highest = product.uv[np.argmax(product.vertices[:, 1]), 0]
+    assert highest[1] == pytest.approx(0.0)
+
+
+def test_obj_normals_are_used(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0.6 0 0.8\nf 1//1 2//1 3//1\n")
+    product = load_product(tmp_path / "a.obj")
+    np.testing.assert_allclose(product.normals, [[0.6, 0, 0.8]] * 3, atol=1e-6)
+
+
+# What can be wrong
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj"])
+@pytest.mark.parametrize(
+    "content", [b"", b"hello", b"\x89PNG\r\n\x1a\n", b"{}", b"[]", b"\xff\xfe"]
+)
+def test_file_that_is_no_model(tmp_path, suffix, content):
+    path = tmp_path / f"chair{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(ProductError, match=r"chair.*(expected|empty)"):
+        load_product(path)
+
+
+def test_missing_file_and_foreign_suffix(tmp_path):
+    with pytest.raises(ProductError, match=r"none\.glb.*no such file"):
+        load_product(tmp_path / "none.glb")
+    with pytest.raises(ProductError, match=r"expected a model \(\.glb, \.gltf, \.obj\).*'\.fbx'"):
+        load_product(tmp_path / "chair.fbx")
+
+
+def test_obj_has_no_variants(tmp_path):
+    with pytest.raises(ProductError, match="no variants"):
+        load_product(obj_files(tmp_path), "Oak")
+
+
+def test_empty_mesh(tmp_path):
+    builder = GltfBuilder()
+    builder.node()
+    with pytest.raises(ProductError, match=r"empty.*expected triangles.*export"):
+        load_product(builder.write(tmp_path / "empty.glb"))
+    (tmp_path / "empty.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    with pytest.raises(ProductError, match=r"empty"):
+        load_product(tmp_path / "empty.obj")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_vertices_that_are_not_finite(tmp_path, value):
+    builder = GltfBuilder()
+    points = QUAD.copy()
+    points[1, 1] = value
+    builder.node(builder.primitive(QUAD_FACES, POSITION=builder.accessor(points)))
+    with pytest.raises(ProductError, match=r"1 of 4 vertices are NaN or infinite; repair"):
+        load_product(builder.write(tmp_path / "bad.glb"))
+
+
+def test_faces_of_vertices_that_are_not_there(tmp_path):
+    builder = GltfBuilder()
+    builder.node(builder.primitive([0, 1, 7], POSITION=builder.accessor(QUAD)))
+    with pytest.raises(ProductError, match=r"faces of 4 vertices, got indices from 0 to 7"):
+        load_product(builder.write(tmp_path / "bad.glb"))
+
+
+@pytest.mark.parametrize("points", [np.zeros((3, 3)), [[0, 0, 0], [1, 1, 1], [2, 2, 2]]])
+def test_mesh_without_extent(tmp_path, points):
+    builder = GltfBuilder()
+    builder.node(builder.primitive([0, 1, 2], POSITION=builder.accessor(points)))
+    flat = np.ptp(np.asarray(points), axis=0).max() == 0
+    if flat:
+        with pytest.raises(ProductError, match="without extent"):
+            load_product(builder.write(tmp_path / "point.glb"))
+    else:  # a diagonal line has a box, but no area: it is seen to be nothing later
+        assert len(load_product(builder.write(tmp_path / "line.glb")).faces) == 1
+
+
+def test_nan_texture_coordinates_and_zero_normals(tmp_path):
+    builder = GltfBuilder()
+    uv = QUAD_UV.copy()
+    uv[0] = np.nan
+    at = builder.accessor(QUAD)
+    builder.node(builder.primitive(QUAD_FACES, POSITION=at, TEXCOORD_0=builder.accessor(uv)))
+    with pytest.raises(ProductError, match="texture coordinates are NaN"):
+        load_product(builder.write(tmp_path / "bad.glb"))
+    builder = GltfBuilder()
+    normals = builder.accessor(np.zeros((4, 3)))
+    builder.node(builder.primitive(QUAD_FACES, POSITION=builder.accessor(QUAD), NORMAL=normals))
+    product = load_product(builder.write(tmp_path / "fine.glb"))
+    np.testing.assert_allclose(product.normals, [[0, 0, 1]] * 6)
+
+
+def textured(folder, uri, *, write=True):
+    builder = GltfBuilder()
+    texture = builder.image(np.full((4, 4, 3), 200, np.uint8), uri)
+    material = builder.material(pbrMetallicRoughness={"baseColorTexture": {"index": texture}})
+    builder.node(
+        builder.primitive(
+            QUAD_FACES,
+            POSITION=builder.accessor(QUAD),
+            TEXCOORD_0=builder.accessor(QUAD_UV),
+            material=material,
+        )
+    )
+    path = builder.write(folder / "chair.gltf")
+    if write:
+        cv2.imwrite(str(folder / "wood grain.png"), np.full((4, 4, 3), 200, np.uint8))
+    return path
+
+
+@pytest.mark.parametrize("uri", ["wood%20grain.png", "wood grain.png", "./wood%20grain.png"])
+def test_texture_beside_the_model(tmp_path, uri):
+    assert load_product(textured(tmp_path, uri)).materials[0].base_texture.size == (4, 4)
+
+
+def test_missing_texture_is_named(tmp_path):
+    with pytest.raises(ProductError, match=r"expected the texture 'oak\.png' beside the model"):
+        load_product(textured(tmp_path, "oak.png"))
+    path = obj_files(tmp_path, material="newmtl red\nmap_Kd gone.png\n", lines="vt 0 0\n")
+    with pytest.raises(ProductError, match=r"texture 'gone\.png'"):
+        load_product(path)
+
+
+def test_missing_buffer_and_material_file_are_named(tmp_path):
+    path = write_box(tmp_path / "box.gltf")
+    (tmp_path / "box.bin").unlink()
+    with pytest.raises(ProductError, match=r"buffer 'box\.bin'"):
+        load_product(path)
+    path = obj_files(tmp_path)
+    (tmp_path / "a.mtl").unlink()
+    with pytest.raises(ProductError, match=r"material file 'a\.mtl'"):
+        load_product(path)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "../secret.png",
+        "sub/../../secret.png",
+        "/etc/passwd",
+        "%2e%2e/secret.png",
+        "https://example.com/t.png",
+        "file:///etc/passwd",
+        "//server/share/t.png",
+        "..\\secret.png",
+    ],
+)
+def test_paths_that_leave_the_folder_are_refused(tmp_path, uri):
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (tmp_path / "secret.png").write_bytes(b"x")
+    with pytest.raises(UnsafePathError, match=r"outside the model's folder.*copy it beside"):
+        load_product(textured(folder, uri))
+    material = f"newmtl red\nmap_Kd {uri}\n"
+    if "%" not in uri:
+        with pytest.raises((UnsafePathError, ProductError)):
+            load_product(obj_files(folder, material=material, lines="vt 0 0\n"))
+
+
+def test_link_that_leaves_the_folder_is_refused(tmp_path):
+    folder = tmp_path / "model"
+    folder.mkdir()
+    cv2.imwrite(str(tmp_path / "secret.png"), np.zeros((4, 4, 3), np.uint8))
+    (folder / "wood.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(UnsafePathError):
+        load_product(textured(folder, "wood.png"))
+
+
+@pytest.mark.parametrize("uri", ["a\0b.png", "n" * 300 + ".png", "", ".", 7])
+def test_names_no_file_has(tmp_path, uri):
+    with pytest.raises(ProductError):
+        load_product(textured(tmp_path, uri))
+
+
+def test_texture_that_is_none_or_too_large(tmp_path):
+    path = textured(tmp_path, "t.png")
+    (tmp_path / "t.png").write_bytes(b"not an image")
+    with pytest.raises(ImageFileError, match=r"chair\.gltf: texture 't\.png'"):
+        load_product(path)
+    header = cv2.imencode(".png", np.zeros((4, 4, 3), np.uint8))[1].tobytes()
+    claims = header[:16] + (60_000).to_bytes(4, "big") * 2 + header[24:]
+    (tmp_path / "t.png").write_bytes(claims)
+    with pytest.raises(ImageFileError, match="64 megapixels"):
+        load_product(path)
+    (tmp_path / "t.png").write_bytes(b"")
+    with pytest.raises(ProductError, match="empty file"):
+        load_product(path)
+
+
+def test_embedded_data(tmp_path):
+    builder = GltfBuilder()
+    builder.node(builder.primitive(QUAD_FACES, POSITION=builder.accessor(QUAD)))
+    encoded = base64.b64encode(builder.data).decode()
+    for payload, whole in ((encoded, True), ("@@@", False), (encoded[:8], False)):
+        uri = f"data:application/octet-stream;base64,{payload}"
+        tree = {**builder.tree, "buffers": [{"uri": uri, "byteLength": len(builder.data)}]}
+        path = tmp_path / "a.gltf"
+        path.write_text(json.dumps(tree))
+        if whole:
+            assert len(load_product(path).faces) == 2
+        else:
+            with pytest.raises(ProductError, match="export the model again"):
+                load_product(path)
+
+
+@pytest.mark.parametrize("extension", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
+def test_required_extension_that_is_not_understood(tmp_path, extension):
+    builder = GltfBuilder()
+    builder.tree["extensionsRequired"] = [extension]
+    with pytest.raises(ProductError, match=rf"needs {extension}.*without"):
+        load_product(builder.write(tmp_path / "a.glb"))
+
+
+def test_mesh_whose_data_is_compressed_away(tmp_path):
+    builder = GltfBuilder()
+    builder.tree["accessors"].append({"count": 3, "componentType": 5126, "type": "VEC3"})
+    builder.node(builder.primitive(None, POSITION=0))
+    with pytest.raises(ProductError, match="without mesh compression"):
+        load_product(builder.write(tmp_path / "a.glb"))
+
+
+def test_texture_only_in_a_compressed_format(tmp_path):
+    path = textured(tmp_path, "wood grain.png")
+    tree = json.loads(path.read_text())
+    del tree["textures"][0]["source"]
+    path.write_text(json.dumps(tree))
+    with pytest.raises(ProductError, match="PNG or JPEG textures"):
+        load_product(path)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda t: t["accessors"][0].update(count=10**9),
+        lambda t: t["accessors"][0].update(count=-1),
+        lambda t: t["accessors"][0].update(count=True),
+        lambda t: t["accessors"][0].update(componentType=1),
+        lambda t: t["accessors"][0].update(type="MAT9"),
+        lambda t: t["accessors"][0].update(byteOffset=-4),
+        lambda t: t["accessors"][0].update(bufferView=99),
+        lambda t: t["bufferViews"][0].update(byteLength=10**9),
+        lambda t: t["bufferViews"][0].update(byteOffset=-8),
+        lambda t: t["bufferViews"][0].update(byteStride=1),
+        lambda t: t["bufferViews"][0].update(buffer=3),
+        lambda t: t["meshes"][0].update(primitives=None),
+        lambda t: t["nodes"][0].update(mesh=5),
+        lambda t: t["nodes"][0].update(rotation=[0, 0]),
+        lambda t: t["nodes"][0].update(matrix=[1, 2, 3]),
+        lambda t: t["nodes"][0].update(children=[0]),
+        lambda t: t["nodes"].__setitem__(0, 7),
+        lambda t: t.update(scene=4),
+        lambda t: t["asset"].update(version="1.0"),
+        lambda t: t.update(asset={}),
+    ],
+)
+def test_malformed_gltf_is_an_error_of_the_tree(tmp_path, edit):
+    path = write_box(tmp_path / "box.gltf")
+    tree = json.loads(path.read_text())
+    edit(tree)
+    path.write_text(json.dumps(tree))
+    with pytest.raises(ProductError, match=r"box.*(export|glTF 2\.0)"):
+        load_product(path)
+
+
+@given(data=st.data())
+def test_damaged_glb_is_an_error_of_the_tree_or_a_model(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("damaged")
+    whole = write_box(folder / "box.glb").read_bytes()
+    kind = data.draw(st.sampled_from(["cut", "flip"]))
+    if kind == "cut":
+        damaged = whole[: data.draw(st.integers(0, len(whole) - 1))]
+    else:
+        at = data.draw(st.integers(0, len(whole) - 1))
+        damaged = whole[:at] + bytes([data.draw(st.integers(0, 255))]) + whole[at + 1 :]
+    (folder / "box.glb").write_bytes(damaged)
+    try:
+        product = load_product(folder / "box.glb")
+    except SpotLightError:
+        return
+    assert np.isfinite(product.vertices).all()
+    assert len(product.faces)
+
+
+def test_glb_of_another_version_and_without_json(tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"glTF\1\0\0\0\x14\0\0\0" + b"\0" * 8)
+    with pytest.raises(ProductError, match=r"GLB 2\.0.*version 1"):
+        load_product(path)
+    path.write_bytes(glb(b"{}")[:12])
+    with pytest.raises(ProductError, match="whole GLB"):
+        load_product(path)
+
+
+def test_too_many_triangles(monkeypatch, tmp_path):
+    monkeypatch.setattr("spotlight_runtime.product.MAX_TRIANGLES", 5)
+    with pytest.raises(ProductError, match=r"at most 5 triangles, got 12; decimate"):
+        load_product(write_box(tmp_path / "a.glb"))
+
+
+def test_missing_extra_names_the_command(monkeypatch, tmp_path):
+    monkeypatch.setattr(product_files.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'spotlight-relight\[scene\]'"):
+        load_product(tmp_path / "a.glb")
+
+
+def test_nothing_to_assemble():
+    with pytest.raises(ProductError, match="empty mesh"):
+        assemble([], "none")

@@ -20,12 +20,17 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.placement import PlacedLight
 from spotlight_runtime.receiver import Patch
 
-__all__ = ["Cone", "Sample", "cone_of", "probes", "spiral"]
+__all__ = ["PHASES", "Cone", "Sample", "cone_of", "probes", "spiral"]
 
 
 _GOLDEN_ANGLE: Final = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC: Final = 1.32471795724474602596
 """The golden ratio of two dimensions: x³ = x + 1."""
+
+PHASES: Final = 4
+"""Of the probes: one for each pixel of a square of two by two."""
+_INNER: Final = (0.25, 0.5, 0.55, 0.75)
+"""Radii of the probes inside the light's disc, by phase."""
 
 _INFINITY: Final = float("inf")
 
@@ -39,16 +44,31 @@ class Sample(NamedTuple):
     b: float
 
 
-def probes(hard: bool) -> Iterator[Sample]:
-    """Rays that tell what is neither lit nor dark: from the rim of the pixel to the light's.
+def probes(hard: bool, phase: int = 0) -> Iterator[Sample]:
+    """Rays that tell what is neither lit nor dark: from the rim of the pixel to the light.
 
-    Four for a light without extent, else eight, of which neighbours on the light start far apart.
+    Four for a light without extent. Else eight, five to the light's rim and three inside, where
+    something small may stand in front of it; neighbouring pixels take different phases, so that
+    together they leave no gap.
+
+    Parameters
+    ----------
+    hard : bool
+    phase : int
+        From 0 to `PHASES` − 1.
     """
-    count = 4 if hard else 8
-    for k in range(count):
-        light, pixel = (2.0 * math.pi * (i + 0.5) / count for i in (k, 5 * k % count))
+    if hard:
+        for k in range(4):
+            angle = 0.5 * math.pi * (k + 0.5)
+            yield Sample(0.5 * math.cos(angle), 0.5 * math.sin(angle), 0.0, 0.0)
+        return
+    turn = phase / PHASES
+    spots = [(1.0, (k + turn) / 5) for k in range(5)]
+    spots += [(_INNER[phase], (k + turn) / 3) for k in range(3)]
+    for k, (radius, share) in enumerate(spots):
+        pixel, light = math.pi * (0.25 + 1.25 * k), 2.0 * math.pi * share
         dx, dy = 0.5 * math.cos(pixel), 0.5 * math.sin(pixel)
-        yield Sample(dx, dy, *((0.0, 0.0) if hard else (math.cos(light), math.sin(light))))
+        yield Sample(dx, dy, radius * math.cos(light), radius * math.sin(light))
 
 
 def spiral(count: int) -> Iterator[Sample]:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from spotlight_runtime.aim import Cone, cone_of, probes, spiral
+from spotlight_runtime.aim import PHASES, Cone, cone_of, probes, spiral
 from spotlight_runtime.arrays import BoolArray, FloatArray
 from spotlight_runtime.obstacle import Obstacle
 from spotlight_runtime.occluder import Occluder
@@ -37,6 +37,8 @@ _SMOOTH: Final = 0.2
 _FLAT: Final = 0.01
 """Relative difference of 1/depth from the lattice's up to which a pixel lies on its surface."""
 
+_PARTLY: Final = 1
+_WHOLLY: Final = 2
 _Pixels = npt.NDArray[np.int64]
 _SQUARE: Final = np.ones((3, 3), np.uint8)
 
@@ -71,18 +73,20 @@ def trace(
     shadow = np.zeros(shape, dtype=np.float32)
     if not len(pixels):
         return shadow
-    cone = cone_of(receiver.patch(pixels), light)
-    hits, most = _probe(cone, occluder, hard=light.radius == 0.0)
-    spread = np.zeros(shape, dtype=np.uint8)
-    spread.flat[pixels] = hits
-    high, low = cv2.dilate(spread, _SQUARE), cv2.erode(spread, _SQUARE)
-    mixed = (high != low).flat[pixels] | ((hits > 0) & (hits < most))
-    touched = np.flatnonzero((hits > 0) | mixed)
+    cone, hard = cone_of(receiver.patch(pixels), light), light.radius == 0.0
+    phases = None if hard else _phases(pixels, shape[1])
+    level = np.zeros(shape, dtype=np.uint8)
+    level.flat[pixels] = _probe(cone, occluder, phases)
+    # Lit beside dark, without a partial pixel between, is an outline too.
+    differs = (cv2.dilate(level, _SQUARE) != cv2.erode(level, _SQUARE)).flat[pixels]
+    level = level.flat[pixels]
+    mixed = differs | (level == _PARTLY)
+    touched = np.flatnonzero(mixed | (level == _WHOLLY))
     hidden = np.zeros(len(pixels), dtype=np.uint8)
-    hidden[touched], most_hidden = _hidden(cone.take(touched), obstacle, light.radius == 0.0)
-    dark = hidden == most_hidden
-    shadow.flat[pixels[(hits == most) & ~dark]] = 1.0
-    partly = (hidden > 0) & ~dark
+    hidden[touched] = _hidden(cone.take(touched), obstacle, hard)
+    reached = hidden < _WHOLLY
+    shadow.flat[pixels[(level == _WHOLLY) & reached]] = 1.0
+    partly = hidden == _PARTLY
 
     def sample(rows: _Pixels) -> FloatArray:
         values = np.empty(len(rows), dtype=np.float32)
@@ -90,28 +94,42 @@ def trace(
             values[group] = _sample(cone.take(rows[group]), occluder, way, samples)
         return values
 
-    _fill(shadow, receiver.inverse_depth, pixels, np.flatnonzero(mixed & ~dark), sample)
+    _fill(shadow, receiver.inverse_depth, pixels, np.flatnonzero(mixed & reached), sample)
     return shadow
 
 
-def _probe(cone: Cone, occluder: Occluder, hard: bool) -> tuple[npt.NDArray[np.uint8], int]:
-    """How many probes each pixel's light is hidden from, shape (P,), and how many there are."""
-    hits = np.zeros(len(cone.patch.normals), dtype=np.uint8)
-    chosen = list(probes(hard))
-    for probe in chosen:
-        hits += occluder.blocks(*cone.rays(probe), cone.reach)
-    return hits, len(chosen)
+def _phases(pixels: _Pixels, width: int) -> _Pixels:
+    """Which probes a pixel takes: each of a square of two by two its own."""
+    rows, columns = np.divmod(pixels, width)
+    return 2 * (rows % 2) + columns % 2
 
 
-def _hidden(cone: Cone, obstacle: Obstacle, hard: bool) -> tuple[npt.NDArray[np.uint8], int]:
+def _probe(cone: Cone, occluder: Occluder, phases: _Pixels | None) -> npt.NDArray[np.uint8]:
+    """How much of the light is hidden from each pixel, shape (P,): not, partly or wholly."""
+    if phases is None:
+        return _level([occluder.blocks(*cone.rays(p), cone.reach) for p in probes(True)])
+    result = np.zeros(len(phases), dtype=np.uint8)
+    for phase in range(PHASES):
+        group = np.flatnonzero(phases == phase)
+        part, chosen = cone.take(group), probes(False, phase)
+        result[group] = _level([occluder.blocks(*part.rays(p), cone.reach) for p in chosen])
+    return result
+
+
+def _hidden(cone: Cone, obstacle: Obstacle, hard: bool) -> npt.NDArray[np.uint8]:
     """The same for the background in the way, or turned away from the light."""
-    hits = np.zeros(len(cone.patch.normals), dtype=np.uint8)
-    chosen = list(probes(hard))[:: 1 if hard else 2]
-    for probe in chosen:
+    blocked = []
+    for probe in probes(hard):
         origins, directions = cone.rays(probe)
         away = cone.irradiance(probe, directions) <= 0.0
-        hits += away | obstacle.hides(cone, origins, directions)
-    return hits, len(chosen)
+        blocked.append(away | obstacle.hides(cone, origins, directions))
+    return _level(blocked)
+
+
+def _level(blocked: list[BoolArray]) -> npt.NDArray[np.uint8]:
+    """Not, partly or wholly blocked, from one array a probe."""
+    some, every = np.any(blocked, axis=0), np.all(blocked, axis=0)
+    return some.astype(np.uint8) + every.astype(np.uint8)
 
 
 def _sample(cone: Cone, occluder: Occluder, obstacle: Obstacle | None, samples: int) -> FloatArray:

@@ -15,7 +15,7 @@ from spotlight_runtime.receiver import Receiver
 __all__ = ["reachable"]
 
 
-_LATTICE: Final = 256
+_LATTICE: Final = 128
 """Pixels along the longer side that are tested; those between follow their neighbours."""
 _STEEPEST: Final = 0.05
 """Cosine below which a surface seen at a grazing angle counts as this steep."""
@@ -84,6 +84,8 @@ def _meets(points: FloatArray, directions: FloatArray, half: FloatArray, reach: 
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (-half - points) / directions, (half - points) / directions
     # A direction along a slab gives ±inf outside of it, and NaN only on its face: either will do.
-    enter = np.fmin(first, second).max(axis=1)
-    leave = np.fmax(first, second).min(axis=1)
+    near, far = np.fmin(first, second), np.fmax(first, second)
+    # Columns against each other: a reduction over three values a row takes numpy ten times as long.
+    enter = np.maximum(np.maximum(near[:, 0], near[:, 1]), near[:, 2])
+    leave = np.minimum(np.minimum(far[:, 0], far[:, 1]), far[:, 2])
     return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= reach))

@@ -28,6 +28,9 @@ __all__ = ["relief_mesh"]
 _CELLS: Final = 256
 """Along the longer side of the object: its outline stays within a pixel at 512 pixels."""
 _COVERED: Final = 0.5
+_WHOLE: Final = 0.99
+"""Coverage from which a pixel's depth is the object's own: along the outline it is mixed with what
+lies behind, by metres."""
 
 
 def relief_mesh(scene: Scene, receiver: Receiver, ground: Ground | None) -> ObjectMesh:
@@ -63,7 +66,7 @@ def relief_mesh(scene: Scene, receiver: Receiver, ground: Ground | None) -> Obje
     step = max(1, -(-max(bottom - top, right - left) // _CELLS))
     cells, depth = _shrink(solid[top:bottom, left:right], depth[top:bottom, left:right], step)
     camera = scene.camera
-    thickness = _chord(cells) * depth * step / camera.focal
+    thickness = _chord(cells) * depth * np.float32(step / camera.focal)
     corner_depth, corner_back = _at_corners(cells, depth), _at_corners(cells, depth + thickness)
     height, width = corner_depth.shape
     x = (left + step * np.arange(width) - 0.5 * camera.width) / camera.focal
@@ -83,7 +86,8 @@ def _front(scene: Scene, receiver: Receiver, ground: Ground | None, solid: BoolA
     scale, shift = 1.0, 0.0
     if background is not None:
         scale, shift = align_depth(depth, scene.object_mask, background, scene.footprint_depth)
-    aligned = scale * depth / np.maximum(scene.object_mask, _COVERED) + shift
+    aligned: FloatArray = scale * depth / np.maximum(scene.object_mask, _COVERED) + shift
+    aligned = _nearest(aligned, scene.object_mask >= _WHOLE, solid)
     nearest = float(aligned[solid].min())
     if nearest <= 0.0:
         raise InvalidInputError(
@@ -91,6 +95,23 @@ def _front(scene: Scene, receiver: Receiver, ground: Ground | None, solid: BoolA
             "aligned to the background; check the depth maps' units"
         )
     return aligned
+
+
+def _nearest(values: FloatArray, trusted: BoolArray, wanted: BoolArray) -> FloatArray:
+    """Replace values that are not trusted by that of the nearest pixel which is."""
+    if not (trusted & wanted).any():
+        return values
+    rows, columns = np.nonzero(wanted)  # only there, or a photograph would take seconds
+    box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+    sources = (trusted & wanted)[box]
+    _, labels = cv2.distanceTransformWithLabels(
+        (~sources).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    by_label = np.zeros(int(labels.max()) + 1, dtype=values.dtype)
+    by_label[labels[sources]] = values[box][sources]
+    result = values.copy()
+    result[box] = by_label[labels]
+    return result
 
 
 def _card(receiver: Receiver, ground: Ground | None, solid: BoolArray) -> FloatArray:

@@ -6,8 +6,10 @@ import sys
 
 import typer
 
+from spotlight_runtime.cli.compose import compose
 from spotlight_runtime.cli.models import models
 from spotlight_runtime.cli.relight import relight
+from spotlight_runtime.cli.shadow import shadow
 from spotlight_runtime.errors import SpotLightError
 
 __all__ = ["main"]
@@ -26,7 +28,7 @@ def _about() -> None:
     """Relight an object in a photograph by its shadow, on any CPU."""
 
 
-for _command in (relight, models):
+for _command in (compose, shadow, relight, models):
     app.command()(_command)
 
 

@@ -50,12 +50,12 @@ def read_mesh(path: Path, pose: npt.NDArray[np.float64] | None = None) -> Object
     if not path.is_file():
         raise SceneError(f"{path}: expected the object's mesh, found no file")
     vertices, faces = _read_npz(path) if suffix == ".npz" else _read_model(path)
-    if pose is not None:
-        if not np.allclose(pose[3], [0, 0, 0, 1]):
-            raise SceneError(f"{path}: expected a pose whose last row is 0 0 0 1, got {pose[3]}")
-        vertices = vertices @ pose[:3, :3].T + pose[:3, 3]
+    if pose is not None and not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise SceneError(f"{path}: expected a pose whose last row is 0 0 0 1, got {pose[3]}")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # the mesh refuses what is not finite
+            if pose is not None:
+                vertices = vertices @ pose[:3, :3].T + pose[:3, 3]
             return ObjectMesh(vertices.astype(np.float32), faces.astype(np.int32))
     except ValueError as error:
         error.args = (f"{path}: {error}",)

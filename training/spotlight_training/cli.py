@@ -132,6 +132,18 @@ def export_testset(
         typer.echo(str(path))
 
 
+@app.command("export-scene")
+def export_scene(
+    record: Annotated[Path, typer.Argument(help="A rendered record, NNNNNN.scene.zip.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Scene folder to write.")],
+    light: Annotated[str, typer.Option(help="The light of the photograph.")] = "gt_dir",
+) -> None:
+    """Write a record as a scene for `spotlight relight`, with the object's mesh."""
+    from .render.bundle import export_bundle
+
+    typer.echo(str(export_bundle(record, output, light)))
+
+
 @app.command()
 def pack(
     records: Annotated[Path, typer.Argument(help="Folder of rendered scenes of one split.")],
@@ -221,12 +233,50 @@ def intrinsics(
     device: Device = "cpu",
     threads: Threads = 1,
     seed: Seed = 0,
+    side: Side = 128,
+    start: Start = None,
 ) -> None:
     """Train the estimator of albedo, normals and depth of a photograph."""
     from . import runs
 
     options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
-    runs.train_intrinsics(data, held_out, run, options)
+    runs.train_intrinsics(data, held_out, run, options, side=side, start=start)
+
+
+@app.command("export")
+def export_model(
+    renderer_run: Annotated[Path, typer.Option("--renderer", help="Run folder of the renderer.")],
+    vae_run: Annotated[Path, typer.Option("--vae", help="Run folder of the VAE's decoder.")],
+    intrinsics_run: Annotated[Path, typer.Option("--intrinsics", help="Run of the estimator.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model folder to create.")],
+    notes: Annotated[
+        Path | None,
+        typer.Option(help="JSON object of strings for the manifest: how made, how good."),
+    ] = None,
+    precision: Annotated[str, typer.Option(help="fp32, fp16 or int8 weights.")] = "fp16",
+    force: Annotated[bool, typer.Option("--force", help="Replace a model there.")] = False,
+) -> None:
+    """Export finished trainings as a model folder, compared with torch graph by graph."""
+    import json
+
+    from . import runs
+    from .ship import ship
+
+    model, spec = runs.load_renderer(renderer_run)
+    runs.take_decoder(model, vae_run)
+    manifest = ship(
+        model,
+        runs.load_estimator(intrinsics_run),
+        spec,
+        output,
+        {} if notes is None else json.loads(notes.read_text(encoding="utf-8")),
+        precision=precision,  # type: ignore[arg-type]
+        force=force,
+        report=typer.echo,
+    )
+    size = sum(entry.bytes for entry in manifest.files) / 1e6
+    worst = max(row.max_rel for row in manifest.parity)
+    typer.echo(f"{output}: {size:.1f} MB, worst relative error against torch {worst:.1e}")
 
 
 def _options(

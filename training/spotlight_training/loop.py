@@ -42,7 +42,7 @@ class TrainingOptions:
     warmup : int
         Steps of linear warm-up.
     ema : float
-        Decay of the averaged weights, reached gradually.
+        Decay of the averaged weights, reached gradually; short, because runs here are.
     seed : int
     device : str
         ``cpu`` or ``cuda``.
@@ -57,7 +57,7 @@ class TrainingOptions:
     batch: int = 8
     learning_rate: float = 3e-4
     warmup: int = 200
-    ema: float = 0.999
+    ema: float = 0.995
     seed: int = 0
     device: str = "cpu"
     threads: int = 1

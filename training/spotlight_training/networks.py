@@ -26,6 +26,12 @@ __all__ = ["VAE", "ConditionEncoder", "Denoiser", "IntrinsicsNet"]
 PATCH: Final = 8
 """Pixels per latent."""
 
+GAMMA: Final = 2.2
+"""Of the pictures the renderer paints."""
+
+KNOWN_VARIANCE: Final = 0.01
+"""s² of the latents where the shading is known: what the known picture leaves open."""
+
 POSTERIOR_DEVIATION: Final = 0.1
 """Of each latent, in its own standard deviations: what the decoder learns to tolerate."""
 
@@ -153,9 +159,10 @@ class ConditionEncoder(nn.Module):
     """Conditioning maps → condition at latent size.
 
     The first ``latent`` channels are the latents of the *known picture*: albedo × shading where
-    the shading is known, albedo alone where it is hidden. There the renderer has little left to
-    do, and learns what matters: the light on what is hidden. The rest is a learned projection of
-    all maps, which keeps the edges the VAE loses.
+    the shading is known, the albedo encoded like a picture under white light where it is hidden.
+    In the one the renderer has nothing left to do, in the other only to light it. The next
+    channel is the share of each latent's pixels that are hidden; the rest is a learned projection
+    of all maps, which keeps what the latents lose.
 
     Parameters
     ----------
@@ -181,40 +188,58 @@ class ConditionEncoder(nn.Module):
     @property
     def channels(self) -> int:
         """Channels of the condition."""
-        return self.latent + self.project[-1].out_channels
+        return self.latent + 1 + self.project[-1].out_channels
 
     def forward(self, conditioning: Tensor) -> Tensor:
         """Condition (B, E, H/8, W/8) of maps (B, K, H, W)."""
         albedo, shading, mask = (
             conditioning[:, self.slices[name]] for name in ("albedo", "shading", "mask")
         )
-        known = torch.where(mask > 0, (albedo * shading).clamp(0.0, 1.0), albedo)
+        white = albedo ** (1.0 / GAMMA)
+        known = torch.where(mask > 0, (albedo * shading).clamp(0.0, 1.0), white)
         encoded = self.analysis(2 * known - 1)
         # Depth and shading reach 20 and 1,000; the logarithm keeps them in the network's range
         # and leaves the fill value −1 apart from every known value.
         squashed = torch.sign(conditioning) * torch.log1p(conditioning.abs())
-        return torch.cat([encoded, self.project(squashed)], dim=1)
+        hidden = functional.avg_pool2d((mask < 0).to(encoded.dtype), PATCH)
+        return torch.cat([encoded, hidden, self.project(squashed)], dim=1)
 
 
 class Denoiser(nn.Module):
     """U-Net over (noisy latents, condition), predicting v.
 
-    The output is ``a(t)·latents + b(t)·known + U-Net``, `known` being the condition's first
-    channels: v = (α z − x₀)/σ is nearly that where the shading is known.
+    What the condition tells at once is not left to learn. Were x₀ = p + s·n about the known picture
+    p, with s near 0 where shading is known and near 1 where it is hidden, the best prediction of v
+    would be ``v₀ = −σp + ασ(1−s²)/(α²s²+σ²)·(z − αp)``. The U-Net adds ``r + g·p``: where shading
+    is hidden, light multiplies what is seen under white light.
+
+    Parameters
+    ----------
+    latent, condition : int
+        Channels of latents and condition.
+    widths : tuple of int
+        Channels of each level.
+    alphas_cumprod : Tensor, shape (T,)
+        ᾱ of every train timestep.
+    blocks : int
+        Residual blocks a level, down and up.
     """
 
     def __init__(
-        self, latent: int, condition: int, widths: tuple[int, ...], blocks: int = 2
+        self,
+        latent: int,
+        condition: int,
+        widths: tuple[int, ...],
+        alphas_cumprod: Tensor,
+        blocks: int = 2,
     ) -> None:
         super().__init__()
+        self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
         self.latent, self.widths = latent, widths
         embedding = 4 * widths[0]
         self.embed = nn.Sequential(
             nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
         )
-        self.gates = nn.Linear(embedding, 2 * latent)
-        nn.init.zeros_(self.gates.weight)
-        nn.init.zeros_(self.gates.bias)
         self.enter = nn.Conv2d(latent + condition, widths[0], 3, padding=1)
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
         channels, skips = widths[0], list[int]()
@@ -233,7 +258,7 @@ class Denoiser(nn.Module):
             if level > 0:
                 self.up.append(nn.Conv2d(channels, channels, 3, padding=1))
         self.leave = nn.Sequential(
-            _norm(channels), nn.SiLU(), nn.Conv2d(channels, latent, 3, padding=1)
+            _norm(channels), nn.SiLU(), nn.Conv2d(channels, 2 * latent, 3, padding=1)
         )
         nn.init.zeros_(self.leave[-1].weight)
 
@@ -254,8 +279,19 @@ class Denoiser(nn.Module):
                 x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
             else:
                 x = stage(_double(x, like=skips[-1]))
-        a, b = self.gates(embedding)[:, :, None, None].chunk(2, dim=1)
-        return self.leave(x) + a * latents + b * condition[:, : self.latent]
+        r, g = self.leave(x).chunk(2, dim=1)
+        known = condition[:, : self.latent]
+        return (
+            self._prior(latents, timestep, known, condition[:, self.latent, None]) + r + g * known
+        )
+
+    def _prior(self, z: Tensor, timestep: Tensor, p: Tensor, hidden: Tensor) -> Tensor:
+        """v₀; in float32, where 1 − ᾱ is still exact."""
+        level = self.alphas_cumprod[timestep].float()[:, None, None, None]
+        alpha, sigma = level.sqrt(), (1 - level).sqrt()
+        variance = KNOWN_VARIANCE + hidden.float()
+        share = alpha * sigma * (1 - variance) / (level * variance + 1 - level)
+        return share * (z.float() - alpha * p.float()) - sigma * p.float()
 
 
 class _Stage(nn.Module):

@@ -64,7 +64,8 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
     """Squared error of v over uniformly drawn timesteps, with zero terminal SNR.
 
     Channels count by the square root of their share in the picture: the first components of a
-    patch are its light, the last hardly visible texture.
+    patch are its light, the last hardly visible texture. Timesteps count by σ, half way between
+    an error of v and one of x₀: nearly clean latents have little left to decide.
     """
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule)).float()
 
@@ -82,7 +83,7 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
         target = level.sqrt() * noise - (1 - level).sqrt() * x0
         v = model.denoiser(noisy, t, model.condition(batch["conditioning"]))
         shares = model.vae.synthesis[0].weight.float().square().sum(dim=(0, 2, 3)).sqrt().sqrt()
-        error = (v.float() - target).square().mean(dim=(0, 2, 3))
+        error = (level.sub(1).neg().sqrt() * (v.float() - target).square()).mean(dim=(0, 2, 3))
         return {"v": (shares / shares.mean() * error).mean()}
 
     return loss

@@ -18,6 +18,7 @@ from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional
 
+from spotlight_runtime.schedule import alphas_cumprod
 from spotlight_spec import BACKBONES, BackboneSpec
 from spotlight_training.data import IntrinsicsData, Packed, PictureData, RendererData
 from spotlight_training.loop import TrainingOptions, train
@@ -136,13 +137,24 @@ def train_renderer(
     )
 
 
-def train_intrinsics(data: Path, held_out: Path, run: Path, options: TrainingOptions) -> None:
+def train_intrinsics(
+    data: Path,
+    held_out: Path,
+    run: Path,
+    options: TrainingOptions,
+    *,
+    side: int,
+    start: Path | None = None,
+) -> None:
     """Train the estimator of albedo, normals and depth; arguments as `train_vae`."""
     samples = _held_out(IntrinsicsData(Packed(held_out)))
+    network = IntrinsicsNet()
+    if start is not None:
+        _load(network, start / MODEL_FILE)
     model = train(
-        IntrinsicsNet(),
+        network,
         intrinsics_loss,
-        IntrinsicsData(Packed(data)),
+        IntrinsicsData(Packed(data), side),
         run,
         options,
         intrinsics_sheet(samples, options.device),
@@ -173,7 +185,9 @@ def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
         start += entry.channels
     condition = ConditionEncoder(vae, channels)
     widths = (width, 2 * width, 4 * width)
-    return Renderer(vae, condition, Denoiser(spec.latent.channels, condition.channels, widths))
+    alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule))
+    denoiser = Denoiser(spec.latent.channels, condition.channels, widths, alpha_bar)
+    return Renderer(vae, condition, denoiser)
 
 
 def _spec(shape: dict[str, Any]) -> BackboneSpec:
@@ -222,6 +236,23 @@ def _read_shape(run: Path) -> dict[str, Any]:
 def _load(model: nn.Module, path: Path) -> None:
     with safe_open(path, framework="pt") as file:
         model.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+
+
+def take_decoder(renderer: Renderer, vae: Path) -> None:
+    """Give a renderer the decoder of a VAE that was trained further on the same latents.
+
+    Raises
+    ------
+    ValueError
+        If the VAE's latents are others.
+    """
+    trained, _ = load_vae(vae)
+    if not torch.equal(trained.analysis.weight, renderer.vae.analysis.weight):
+        raise ValueError(
+            f"{vae}: its latents are not those the renderer was trained on; "
+            "train the decoder with --start at the VAE run that the renderer was given"
+        )
+    renderer.vae.load_state_dict(trained.state_dict())
 
 
 def load_estimator(run: Path) -> IntrinsicsNet:

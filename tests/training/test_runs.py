@@ -1,0 +1,151 @@
+"""The trainings learn, resume, and end as a model the runtime runs."""
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the training extra")
+
+from support.scenes import make_scene, make_shadow  # noqa: E402
+
+from spotlight_runtime import Relighter, RelightOptions  # noqa: E402
+from spotlight_runtime.models import open_networks, resolve_model  # noqa: E402
+from spotlight_training import runs  # noqa: E402
+from spotlight_training.data import SIDE, IntrinsicsData, Packed, RendererData, draw_picture  # noqa: E402
+from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402
+from spotlight_training.loop import TrainingOptions  # noqa: E402
+from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
+from spotlight_training.ship import ship  # noqa: E402
+
+LIGHTS = 4
+
+
+def made_up_scenes(count=2):
+    """A coloured disc on a plain floor; each light brightens another side of the picture."""
+    scenes = np.zeros(count, scene_dtype(SIDE, LIGHTS))
+    rows, columns = np.mgrid[:SIDE, :SIDE] / SIDE
+    for number, scene in enumerate(scenes):
+        disc = np.hypot(rows - 0.5, columns - 0.4 - 0.1 * number) < 0.2
+        albedo = np.where(disc[..., None], [0.8, 0.3, 0.2], [0.5, 0.55, 0.6])
+        scene["albedo"] = 255 * albedo
+        scene["normal"] = [128, 255, 128]
+        scene["depth"] = 3.0 - rows
+        scene["object_mask"] = 255 * disc
+        scene["ambient"] = scene["ambient_background"] = 0.3 * albedo
+        for light in range(LIGHTS):
+            side = (rows, columns, 1 - rows, 1 - columns)[light][..., None]
+            scene["lights"][light] = scene["lights_background"][light] = side * albedo
+        scene["ambient_weight"] = 1.0
+    return scenes
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("packed") / "scenes.pack"
+    made_up_scenes().tofile(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def trained(packed, tmp_path_factory):
+    """All three trainings, a few steps each."""
+    house = tmp_path_factory.mktemp("runs")
+    few = TrainingOptions(steps=2, batch=1, sample_every=2, warmup=1)
+    runs.train_vae(packed, packed, house / "vae", few, latent=4, width=8, side=64)
+    runs.train_renderer(packed, packed, house / "vae", house / "renderer", few, width=64, side=64)
+    runs.train_intrinsics(packed, packed, house / "intrinsics", few, side=64)
+    return house
+
+
+def test_pictures_are_the_sum_of_their_lights(packed):
+    scene = Packed(packed)[0]
+    picture = draw_picture(scene, np.random.default_rng(3), 128)
+    assert picture.image.shape == (128, 128, 3)
+    assert 0.0 <= picture.image.min() < picture.image.max() <= 1.0
+    # Both layers are lit alike here, so whatever was composed shows albedo under one smooth light.
+    shading = picture.image**2.2 / picture.maps["albedo"]
+    inside = picture.object_mask > 0.99
+    neighbours = np.roll(inside, 4, axis=1) & inside
+    steps = np.abs(shading - np.roll(shading, 4, axis=1))[neighbours]
+    assert np.percentile(steps, 95) < 0.15
+    np.testing.assert_allclose(np.linalg.norm(picture.maps["normal"], axis=2), 1.0, atol=1e-3)
+
+
+def test_the_same_generator_draws_the_same_sample(packed):
+    spec = runs.BACKBONES["mini"]
+    for data in (RendererData(Packed(packed), spec, 64), IntrinsicsData(Packed(packed), 64)):
+        one, other = (data(np.random.default_rng(5)) for _ in range(2))
+        assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_shading_is_hidden_somewhere_and_known_elsewhere(packed):
+    data = RendererData(Packed(packed), runs.BACKBONES["mini"], 64)
+    rng = np.random.default_rng(0)
+    masks = [data(rng)["conditioning"][10] for _ in range(24)]
+    assert all(set(np.unique(mask)) <= {-1.0, 1.0} for mask in masks)
+    assert any((mask == 1.0).any() for mask in masks)
+    assert all((mask == -1.0).any() for mask in masks)
+
+
+def test_latents_are_standardised_principal_components():
+    generator = torch.Generator().manual_seed(0)
+    patches = torch.randn(4000, 192, generator=generator, dtype=torch.float64)
+    patches *= torch.linspace(3.0, 0.1, 192, dtype=torch.float64)
+    vae = VAE(latent=6, width=8)
+    deviations = vae.fit_patches(patches + 0.5)
+    assert (deviations[:-1] >= deviations[1:]).all()
+    image = (patches[:64] + 0.5).float().reshape(64, 3, 8, 8)
+    with torch.no_grad():
+        latents = vae.encode(image)[0].flatten(1)
+        decoded = vae.synthesis(vae.encode(image)[0])
+    assert latents.mean().abs() < 0.2
+    torch.testing.assert_close(latents.std(dim=0), torch.ones(6), atol=0.35, rtol=0)
+    # The best linear autoencoder leaves what the other components hold.
+    left = (decoded - image).square().sum() / 64
+    rest = patches.var(dim=0).sort(descending=True).values[6:].sum()
+    assert left == pytest.approx(float(rest), rel=0.1)
+
+
+def test_a_killed_run_goes_on_where_it_stopped(packed, tmp_path):
+    def options(steps):
+        return TrainingOptions(steps=steps, batch=1, sample_every=1, warmup=1)
+
+    for steps in (1, 2):
+        runs.train_vae(packed, packed, tmp_path / "run", options(steps), latent=4, width=8, side=64)
+    lines = (tmp_path / "run" / "loss.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["step", "0", "1"]
+
+
+def test_run_folders_show_curve_and_samples(trained):
+    for name in ("vae", "renderer", "intrinsics"):
+        assert {"loss.csv", "loss.png", "samples.png", "model.safetensors"} <= {
+            path.name for path in (trained / name).iterdir()
+        }
+
+
+def test_an_unfinished_training_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="finished training"):
+        runs.load_renderer(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_shipped_model_is_verified_and_relights(trained, tmp_path):
+    renderer, spec = runs.load_renderer(trained / "renderer")
+    estimator = runs.load_estimator(trained / "intrinsics")
+    assert isinstance(estimator, IntrinsicsNet)
+    manifest = ship(renderer, estimator, spec, tmp_path / "mini", {"data": "made up"})
+    assert {row.subject for row in manifest.parity} == {
+        "vae_encoder", "condition_encoder", "denoiser", "vae_decoder", "intrinsics", "loop",
+    }  # fmt: skip
+    assert all(row.max_rel <= row.tolerance for row in manifest.parity)
+    assert json.loads((tmp_path / "mini/manifest.json").read_text())["licence"] == "Apache-2.0"
+    scene = make_scene(64, 64)
+    result = Relighter.load(tmp_path / "mini").relight(
+        scene, make_shadow(scene), options=RelightOptions(steps=2)
+    )
+    assert np.isfinite(result.image).all()
+    estimate = open_networks(resolve_model(tmp_path / "mini"))["intrinsics"]
+    maps = estimate(image=np.full((1, 3, 64, 96), 0.5, np.float32))["maps"]
+    assert maps.shape == (1, 7, 64, 96)
+    np.testing.assert_allclose(np.linalg.norm(maps[:, 3:6], axis=1), 1.0, atol=1e-3)

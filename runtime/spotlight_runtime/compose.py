@@ -28,7 +28,7 @@ LEAST_VISIBLE: Final = 4.0
 BACKGROUND_ROUGHNESS: Final = np.float32(0.7)
 """Where no map says otherwise: what rooms and streets are made of is mostly matt, and no metal."""
 DRAFT_SIDE: Final = 1024
-DRAFT_LIGHT: Final = np.float32([-0.35, 0.75, 0.56])
+DRAFT_LIGHT: Final = np.array([-0.35, 0.75, 0.56], dtype=np.float32)
 """Of the draft: from the upper left, behind the camera."""
 DRAFT_AMBIENT: Final = 0.45
 DARKEST_PAINT: Final = 0.05

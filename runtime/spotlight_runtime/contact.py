@@ -6,6 +6,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.camera import Camera
@@ -49,7 +50,7 @@ def footprint_depth(product: Product, camera: Camera, ground: Ground) -> FloatAr
     """
     depth = np.zeros((camera.height, camera.width), dtype=np.float32)
     used = product.vertices[np.unique(product.faces)]
-    up = np.float32(ground.normal)
+    up = np.array(ground.normal, dtype=np.float32)
     height = used @ up - np.float32(ground.offset)
     reach = max(CONTACT * float(np.ptp(used, axis=0).max()), LEAST_CONTACT)
     low = used[height <= reach]
@@ -103,8 +104,11 @@ def visible_share(
     top, bottom, left, right = box
     x, y = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
     rays = _rays(camera, x, y).reshape(*mask.shape, 3)
-    height = (rays @ np.float32(ground.normal)) * background_depth - np.float32(ground.offset)
+    up = np.array(ground.normal, dtype=np.float32)
+    height = (rays @ up) * background_depth - np.float32(ground.offset)
     own = np.divide(object_depth, mask, out=np.zeros_like(mask), where=mask > 0.0)
+    # One pixel further out, so that the blur below finds no visible rim beside the object.
+    own = np.where(mask > 0.0, own, cv2.dilate(own, np.ones((3, 3), np.uint8)))
     standing = height > np.maximum(RISE, RISE_SHARE * background_depth)
     hiding = standing & (background_depth > 0.0) & (background_depth < (1.0 - NEARER) * own)
     if not hiding.any():
@@ -114,7 +118,7 @@ def visible_share(
     return np.clip(np.float32(1.0) - soft, 0.0, 1.0)
 
 
-def _rays(camera: Camera, x: FloatArray, y: FloatArray) -> FloatArray:
+def _rays(camera: Camera, x: npt.NDArray[np.intp], y: npt.NDArray[np.intp]) -> FloatArray:
     """Directions through pixels, scaled to reach depth 1, shape (N, 3)."""
     rays = np.full((x.size, 3), -1.0, dtype=np.float32)
     rays[:, 0] = (x.reshape(-1) + 0.5 - 0.5 * camera.width) / camera.focal

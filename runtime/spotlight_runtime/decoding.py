@@ -62,7 +62,9 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
         If they are truncated, no image, or more pixels than `headers.MAX_PIXELS`.
     """
     if not data:
-        raise ImageFileError(f"{path}: the file is empty; expected an image, export or download it again")
+        raise ImageFileError(
+            f"{path}: the file is empty; expected an image, export or download it again"
+        )
     if not data.startswith(_SIGNATURES):
         raise ImageFileError(f"{path}: expected a PNG, JPEG, WebP or Radiance HDR file")
     check_header(data, str(path))

@@ -9,15 +9,16 @@ texture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Final
 
 import cv2
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.colour import linear_to_srgb, luma
 from spotlight_runtime.errors import NumericalError
+from spotlight_runtime.parallel import in_parallel
 from spotlight_runtime.photograph import Photograph
 from spotlight_runtime.scene import Intrinsics
 from spotlight_runtime.sessions import Network
@@ -32,12 +33,13 @@ MULTIPLE: Final = 32
 """The network halves five times, so its sides are multiples of this."""
 REACH: Final = 2
 """Radius of the guided filter in pixels of the network's scale."""
-SMOOTHNESS: Final = 1e-3
-"""Variance of the encoded picture below which the filter sees no edge."""
+SMOOTHNESS: Final = np.float32(1e-3)
+"""Variance of the guide below which the filter sees no edge."""
 DARKEST: Final = np.float32(1e-3)
 """Linear light and albedo below which their quotient says nothing."""
 NEAREST: Final = 1e-3
 """Least depth, in the network's units."""
+TINY: Final = np.float32(1e-6)
 STRIP_PIXELS: Final = 1 << 19
 
 
@@ -72,15 +74,21 @@ def estimate_intrinsics(network: Network, photograph: Photograph) -> Intrinsics:
     picture = shrink_picture(radiance, small.albedo.shape[:2])
     shading = np.maximum(picture, DARKEST) / np.maximum(small.albedo, DARKEST)
     wanted = np.concatenate([np.log(shading), small.normal, np.log(small.depth)[..., None]], axis=2)
-    for top, bottom, maps in follow_picture(wanted, picture, radiance):
-        strip = np.s_[top:bottom]
-        np.divide(radiance[strip], np.exp(maps[..., :3]), out=albedo[strip])
+    enlarged = follow_picture(wanted, picture, radiance)
+
+    def fill(rows: slice) -> None:
+        maps = enlarged(rows)
+        np.divide(radiance[rows], np.exp(maps[..., :3]), out=albedo[rows])
         # Where the picture is black it says nothing, and the network's guess is as good as 0.
-        np.clip(albedo[strip], 0.0, 1.0, out=albedo[strip])
+        np.clip(albedo[rows], 0.0, 1.0, out=albedo[rows])
         vectors = maps[..., 3:6]
         length = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
-        normal[strip] = vectors / np.maximum(length, np.float32(1e-6))[..., None]
-        np.exp(maps[..., 6], out=depth[strip])
+        np.divide(vectors, np.maximum(length, TINY)[..., None], out=normal[rows])
+        np.exp(maps[..., 6], out=depth[rows])
+
+    height, width = photograph.size
+    step = max(1, STRIP_PIXELS // width)
+    in_parallel(fill, [slice(top, min(top + step, height)) for top in range(0, height, step)])
     return Intrinsics(albedo=albedo, normal=normal, depth=depth)
 
 
@@ -107,14 +115,14 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
     length = np.linalg.norm(planes[..., 3:6], axis=2, keepdims=True)
     return Intrinsics(
         albedo=np.clip(planes[..., :3], 0.0, 1.0),
-        normal=planes[..., 3:6] / np.maximum(length, np.float32(1e-6)),
+        normal=planes[..., 3:6] / np.maximum(length, TINY),
         depth=np.maximum(planes[..., 6], np.float32(NEAREST)),
     )
 
 
 def follow_picture(
     values: FloatArray, picture: FloatArray, radiance: FloatArray
-) -> Iterator[tuple[int, int, FloatArray]]:
+) -> Callable[[slice], FloatArray]:
     """Enlarge maps so that they follow the edges of a picture.
 
     Parameters
@@ -126,29 +134,29 @@ def follow_picture(
     radiance : ndarray of float32, shape (H, W, 3)
         The picture, linear.
 
-    Yields
-    ------
-    top, bottom : int
-        Rows of the picture.
-    maps : ndarray of float32, shape (bottom − top, W, C)
-        The maps there.
+    Returns
+    -------
+    callable
+        Rows of the picture, a slice, → the maps there, float32, shape (rows, W, C).
     """
     guide = _guide(picture)
-    height, width = radiance.shape[:2]
     mean = _box(guide)
-    spread = _box(guide * guide) - mean * mean
+    spread = np.maximum(_box(guide * guide) - mean * mean, 0.0)
     level = _box(values)
     slope = _box(values * guide[..., None]) - level * mean[..., None]
-    slope /= (np.maximum(spread, 0.0) + np.float32(SMOOTHNESS))[..., None]
+    slope /= (spread + SMOOTHNESS)[..., None]
     constant = _box(level - slope * mean[..., None])
-    fit = np.concatenate([_box(slope), constant], axis=2)
-    channels = values.shape[2]
-    step = max(1, STRIP_PIXELS // width)
-    for top in range(0, height, step):
-        bottom = min(top + step, height)
-        large = magnify_rows(fit, top, bottom, (height, width))
-        fine = _guide(radiance[top:bottom])[..., None]
-        yield top, bottom, large[..., :channels] * fine + large[..., channels:]
+    fit = np.concatenate([_box(slope), constant], axis=2).astype(np.float32)
+    channels, size = values.shape[2], (radiance.shape[0], radiance.shape[1])
+
+    def enlarged(rows: slice) -> FloatArray:
+        large = magnify_rows(fit, rows.start, rows.stop, size)
+        maps = large[..., :channels]
+        maps *= _guide(radiance[rows])[..., None]
+        maps += large[..., channels:]
+        return maps
+
+    return enlarged
 
 
 def _box(array: FloatArray) -> FloatArray:
@@ -166,5 +174,5 @@ def shrink_picture(image: FloatArray, size: tuple[int, int]) -> FloatArray:
 
 
 def _guide(linear: FloatArray) -> FloatArray:
-    """What edges are looked for in: luma of linear light, encoded once instead of by channel."""
-    return linear_to_srgb(linear @ np.float32([0.299, 0.587, 0.114]))
+    """What edges are looked for in: luma, in steps about as large in shadow as in light."""
+    return np.sqrt(luma(linear))

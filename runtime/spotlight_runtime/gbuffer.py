@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from spotlight_runtime.arrays import BoolArray, FloatArray
 from spotlight_runtime.camera import Camera
+from spotlight_runtime.parallel import in_parallel
 from spotlight_runtime.product import Product, weld
 from spotlight_runtime.scene import Intrinsics
 from spotlight_runtime.surfaces import (
@@ -35,7 +36,7 @@ __all__ = ["GBuffer", "image_box", "render_gbuffer"]
 
 GRID: Final = 4
 """Rays across an edge pixel, in x and in y."""
-RAYS_AT_ONCE: Final = 1 << 18
+RAYS_AT_ONCE: Final = 1 << 17
 """A ray and its surface take some 300 bytes."""
 EDGE_COSINE: Final = np.float32(np.cos(np.radians(8.0)))
 """Neighbouring normals further apart than this are antialiased."""
@@ -117,14 +118,15 @@ def render_gbuffer(product: Product, camera: Camera) -> GBuffer:
     tracer = Tracer(product)
     rows, columns = np.mgrid[top:bottom, left:right]
     pixels = np.stack([columns.reshape(-1), rows.reshape(-1)], axis=1)
-    faces = np.empty(len(pixels), dtype=np.int32)
-    for chunk in _chunks(len(pixels), RAYS_AT_ONCE):
-        faces[chunk] = _fill(buffer, tracer, camera, pixels[chunk], 1)
-    edges = _edges(buffer, faces.reshape(rows.shape))
+
+    def look(chunk: slice, grid: int) -> npt.NDArray[np.int32]:
+        return _fill(buffer, tracer, camera, pixels[chunk], grid)
+
+    faces = in_parallel(lambda chunk: look(chunk, 1), _chunks(len(pixels), RAYS_AT_ONCE))
+    edges = _edges(buffer, np.concatenate(faces).reshape(rows.shape))
     edges |= _visible_rims(buffer, product, camera)
     pixels = pixels[edges.reshape(-1)]
-    for chunk in _chunks(len(pixels), RAYS_AT_ONCE // GRID**2):
-        _fill(buffer, tracer, camera, pixels[chunk], GRID)
+    in_parallel(lambda chunk: look(chunk, GRID), _chunks(len(pixels), RAYS_AT_ONCE // GRID**2))
     return buffer
 
 

@@ -108,7 +108,8 @@ class GltfFile:
         if "sparse" in entry:
             values = self._patched(values, entry["sparse"])
         if entry.get("normalized", False) and kind.kind in "iu":
-            return np.maximum(values.astype(np.float32) / np.float32(np.iinfo(kind).max), -1.0)
+            top = float(2 ** (8 * kind.itemsize - (kind.kind == "i")) - 1)
+            return np.maximum(values / top, -1.0).astype(np.float32)
         return values
 
     def _strided(

@@ -219,7 +219,8 @@ def _uv_matrix(change: dict[str, Any]) -> FloatArray:
     angle = float(change.get("rotation", 0.0))
     (x, y), (across, down) = change.get("offset", (0.0, 0.0)), change.get("scale", (1.0, 1.0))
     cos, sin = np.cos(angle), np.sin(angle)
-    return np.float32([[cos * across, sin * down, x], [-sin * across, cos * down, y]])
+    rows = [[cos * across, sin * down, x], [-sin * across, cos * down, y]]
+    return np.array(rows, dtype=np.float32)
 
 
 def _local_matrix(node: dict[str, Any]) -> npt.NDArray[np.float64]:

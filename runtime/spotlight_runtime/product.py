@@ -171,7 +171,7 @@ def smooth_normals(vertices: FloatArray, faces: npt.NDArray[np.int32]) -> FloatA
     mine, other = mine[near], other[near]
     total = np.stack(
         [np.bincount(mine, area[other // 3, axis], len(at)) for axis in range(3)], axis=1
-    )
+    ).astype(np.float64)
     empty = np.linalg.norm(total, axis=1) < SMALLEST_NORMAL
     total[empty] = np.repeat(flat, 3, axis=0)[empty]
     return _unit(total).reshape(-1, 3, 3).astype(np.float32)

@@ -87,8 +87,8 @@ class Tracer:
         face = np.full(len(directions), -1, dtype=np.int32)
         seen = np.zeros((len(directions), CHANNELS), dtype=np.float32)
         rays = np.arange(len(directions))
-        start = np.zeros(len(directions), dtype=np.float32)
-        left = np.ones(len(directions), dtype=np.float32)
+        start: FloatArray = np.zeros(len(directions), dtype=np.float32)
+        left: FloatArray = np.ones(len(directions), dtype=np.float32)
         for layer in range(MOST_LAYERS):
             heading = directions[rays]
             hits = self._caster.cast(heading * start[:, None], heading)
@@ -194,8 +194,7 @@ def _tangents(product: Product) -> FloatArray | None:
 
 def _bumped(normal: FloatArray, along: FloatArray, bump: FloatArray) -> FloatArray:
     """Tilt normals by a normal map."""
-    right = along[:, 0] - _dot(normal, along[:, 0])[:, None] * normal
-    right = _unit(right)
+    right = _unit(along[:, 0] - _dot(normal, along[:, 0])[:, None] * normal)
     rising = _cross(normal, right)
     # Mirrored texture coordinates turn the map's up round.
     up = bump[:, 1] * np.sign(_dot(rising, along[:, 1]))

@@ -134,7 +134,7 @@ def test_what_cannot_be_placed(placement, error, said):
 
 
 def test_object_that_fills_the_picture():
-    wall = assemble([Piece(*box_arrays((30.0, 30.0, 0.01)), RED)], "wall")
+    wall = assemble([Piece(*box_arrays((30.0, 4.0, 0.01)), RED)], "wall")
     with pytest.raises(PlacementError, match=r"covers the whole picture.*smaller"):
         compose(BACKDROP, wall, Placement((0.5, 0.999)))
 

@@ -15,6 +15,8 @@ BUILTINS = {
     "ImageFileError": OSError,
     "SceneError": ValueError,
     "UnsafePathError": ValueError,
+    "ProductError": ValueError,
+    "PlacementError": ValueError,
     "ModelError": RuntimeError,
     "UnknownModelError": LookupError,
     "ModelIntegrityError": RuntimeError,

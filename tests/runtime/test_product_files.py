@@ -62,9 +62,14 @@ def test_normals_of_a_box_without_them_are_its_faces(tmp_path):
 
 def test_normals_of_a_sphere_without_them_are_smooth():
     vertices, faces, exact = sphere_arrays(2.0, rings=30)
-    faces = faces[60:-60]  # at the poles a side of each first triangle is a point
+    # At the poles one side of every other triangle is a point.
+    points = vertices[faces]
+    area = np.linalg.norm(
+        np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1
+    )
+    faces = faces[area > 1e-4]
     angles = np.einsum("fcx,fcx->fc", smooth_normals(vertices, faces), exact[faces])
-    assert np.degrees(np.arccos(np.clip(angles, -1, 1))).max() < 2.0
+    assert np.degrees(np.arccos(np.clip(angles, -1, 1))).max() < 3.5
 
 
 def test_weld_finds_the_same_places_and_no_others(rng):

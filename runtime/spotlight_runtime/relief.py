@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.arrays import BoolArray, FloatArray
+from spotlight_runtime.camera import Camera
 from spotlight_runtime.conditioning import align_depth
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.ground import Ground
@@ -28,6 +29,10 @@ __all__ = ["relief_mesh"]
 _CELLS: Final = 256
 """Along the longer side of the object: its outline stays within a pixel at 512 pixels."""
 _COVERED: Final = 0.5
+_TOUCHING: Final = 1.0
+"""Percent of an object without a footprint that may sink into the background: noise in depth."""
+_NEAREST: Final = np.float32(0.5)
+"""Of its depth: how far an object without a footprint may be pulled towards the camera."""
 _WHOLE: Final = 0.99
 """Coverage from which a pixel's depth is the object's own: along the outline it is mixed with what
 lies behind, by metres."""
@@ -39,8 +44,9 @@ def relief_mesh(scene: Scene, receiver: Receiver, ground: Ground | None) -> Obje
     Parameters
     ----------
     scene : Scene
-        Its object's depth is aligned to the background's as the renderer's conditioning is. An
-        object without depth becomes a card that stands upright where its mask ends below.
+        Its object's depth is aligned to the background's by the footprint, as the renderer's
+        conditioning is, or else moved along the rays until it touches the background. An object
+        without depth becomes a card that stands upright where its mask ends below.
     receiver : Receiver
         The background's surface.
     ground : Ground or None
@@ -60,22 +66,28 @@ def relief_mesh(scene: Scene, receiver: Receiver, ground: Ground | None) -> Obje
             "object_mask: expected a mask that covers a part of the picture, got one that is "
             "empty; without it (or object_mesh) nothing casts a shadow"
         )
-    depth = _front(scene, receiver, ground, solid)
+    front = _front(scene, receiver, ground, solid)
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    box = slice(top, bottom), slice(left, right)
     step = max(1, -(-max(bottom - top, right - left) // _CELLS))
-    cells, depth = _shrink(solid[top:bottom, left:right], depth[top:bottom, left:right], step)
-    camera = scene.camera
-    thickness = _chord(cells) * depth * np.float32(step / camera.focal)
-    corner_depth, corner_back = _at_corners(cells, depth), _at_corners(cells, depth + thickness)
-    height, width = corner_depth.shape
-    x = (left + step * np.arange(width) - 0.5 * camera.width) / camera.focal
-    y = (0.5 * camera.height - top - step * np.arange(height)) / camera.focal
-    grid_x, grid_y = np.meshgrid(x, y)
-    rays = np.stack([grid_x, grid_y, -np.ones_like(grid_x)], axis=-1)
-    front, back = rays * corner_depth[..., None], rays * corner_back[..., None]
-    vertices = np.concatenate([front.reshape(-1, 3), back.reshape(-1, 3)])
-    return _compact(vertices, _faces(cells))
+    cells, depth = _shrink(solid[box], front[box], step)
+    chord = _chord(cells) * np.float32(step / scene.camera.focal)
+    if scene.footprint_depth is None and scene.object_maps.depth is not None:
+        seen = receiver.inverse_depth[box] > 0.0
+        behind = 1.0 / np.where(seen, receiver.inverse_depth[box], 1.0)
+        room = _room(cells, depth * (1.0 + chord), _shrink(seen, behind, step))
+        # A guessed back that is deeper than the room must not push the front onto the camera.
+        depth = depth + max(room, -_NEAREST * np.float32(depth[cells].min()))
+    nearest = float(depth[cells].min())
+    if nearest <= 0.0:
+        raise InvalidInputError(
+            f"object depth: expected it in front of the camera, got {nearest:.3g} where it is "
+            "aligned to the background; check the depth maps' units"
+        )
+    rays = _corner_rays(scene.camera, int(top), int(left), step, cells)
+    layers = [_at_corners(cells, side)[..., None] * rays for side in (depth, depth * (1.0 + chord))]
+    return _compact(np.concatenate([layer.reshape(-1, 3) for layer in layers]), _faces(cells))
 
 
 def _front(scene: Scene, receiver: Receiver, ground: Ground | None, solid: BoolArray) -> FloatArray:
@@ -83,18 +95,21 @@ def _front(scene: Scene, receiver: Receiver, ground: Ground | None, solid: BoolA
     depth, background = scene.object_maps.depth, scene.background_maps.depth
     if depth is None:
         return _card(receiver, ground, solid)
+    mask = scene.object_mask
     scale, shift = 1.0, 0.0
-    if background is not None:
-        scale, shift = align_depth(depth, scene.object_mask, background, scene.footprint_depth)
-    aligned: FloatArray = scale * depth / np.maximum(scene.object_mask, _COVERED) + shift
-    aligned = _nearest(aligned, scene.object_mask >= _WHOLE, solid)
-    nearest = float(aligned[solid].min())
-    if nearest <= 0.0:
-        raise InvalidInputError(
-            f"object depth: expected it in front of the camera, got {nearest:.3g} where it is "
-            "aligned to the background; check the depth maps' units"
-        )
-    return aligned
+    if background is not None and scene.footprint_depth is not None:
+        scale, shift = align_depth(depth, mask, background, scene.footprint_depth)
+    aligned: FloatArray = scale * depth / np.maximum(mask, _COVERED) + shift
+    return _nearest(aligned, mask >= _WHOLE, solid)
+
+
+def _room(
+    cells: BoolArray, deepest: FloatArray, background: tuple[BoolArray, FloatArray]
+) -> np.float32:
+    """How far the object can move away along the rays until it touches the background."""
+    known = cells & background[0]
+    gaps = (background[1] - deepest)[known]
+    return np.float32(np.percentile(gaps, _TOUCHING) if len(gaps) else 0.0)
 
 
 def _nearest(values: FloatArray, trusted: BoolArray, wanted: BoolArray) -> FloatArray:
@@ -132,7 +147,10 @@ def _card(receiver: Receiver, ground: Ground | None, solid: BoolArray) -> FloatA
 
 
 def _shrink(solid: BoolArray, depth: FloatArray, step: int) -> tuple[BoolArray, FloatArray]:
-    """Blocks of pixels: covered where at least half are, with the mean depth of those that are."""
+    """Blocks of pixels: covered where at least half are, with the mean depth of those that are.
+
+    Where no block is, those that are covered at all.
+    """
     grow = [(0, -side % step) for side in solid.shape]
     blocks = [
         np.pad(array, grow)
@@ -141,6 +159,7 @@ def _shrink(solid: BoolArray, depth: FloatArray, step: int) -> tuple[BoolArray, 
         for array in (solid.astype(np.float32), np.where(solid, depth, 0.0))
     ]
     covered = blocks[0] >= _COVERED * step**2
+    covered = covered if covered.any() else blocks[0] > 0.0
     mean = np.divide(blocks[1], blocks[0], out=np.zeros_like(blocks[1]), where=blocks[0] > 0)
     return covered, mean
 
@@ -185,17 +204,26 @@ def _faces(cells: BoolArray) -> npt.NDArray[np.int32]:
     faces = [np.stack([a, c, b], -1)[cells], np.stack([b, c, d], -1)[cells]]
     faces += [face[:, ::-1] + behind for face in faces]
     outer = np.pad(cells, 1)
+    # Against the front's own direction, so that every edge has one triangle on each side.
     sides = (
-        (outer[:-2, 1:-1], b, a),
-        (outer[2:, 1:-1], c, d),
-        (outer[1:-1, :-2], a, c),
-        (outer[1:-1, 2:], d, b),
+        (outer[:-2, 1:-1], a, b),
+        (outer[2:, 1:-1], d, c),
+        (outer[1:-1, :-2], c, a),
+        (outer[1:-1, 2:], b, d),
     )
     for neighbour, start, end in sides:
         edge = cells & ~neighbour
         p, q = start[edge], end[edge]
         faces += [np.stack([p, q, p + behind], -1), np.stack([q, q + behind, p + behind], -1)]
     return np.concatenate(faces).astype(np.int32)
+
+
+def _corner_rays(camera: Camera, top: int, left: int, step: int, cells: BoolArray) -> FloatArray:
+    """Rays through the corners of the cells, shape (H + 1, W + 1, 3)."""
+    height, width = cells.shape
+    x = (left + step * np.arange(width + 1) - 0.5 * camera.width) / camera.focal
+    y = (0.5 * camera.height - top - step * np.arange(height + 1)) / camera.focal
+    return np.stack(np.broadcast_arrays(x, y[:, None], -1.0), axis=-1)
 
 
 def _compact(vertices: FloatArray, faces: npt.NDArray[np.int32]) -> ObjectMesh:

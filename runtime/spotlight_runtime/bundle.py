@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import FloatArray, sparse_copy
 from spotlight_runtime.colour import decode_to_linear
 from spotlight_runtime.errors import SceneError, ShapeError, UnsafePathError
 from spotlight_runtime.ground import Ground
@@ -121,9 +122,14 @@ def load_bundle(folder: Path) -> Scene:
     def read(entry: MapFile, channels: int) -> FloatArray:
         return _read_map(folder, entry, channels, (record.height, record.width))
 
-    def maps(entries: dict[str, MapFile]) -> Intrinsics:
+    def read_sparse(entry: MapFile, channels: int) -> FloatArray:
+        return sparse_copy(read(entry, channels))
+
+    def maps(
+        entries: dict[str, MapFile], reader: Callable[[MapFile, int], FloatArray]
+    ) -> Intrinsics:
         found = {
-            name: read(entries[name], 3 if name in ("albedo", "normal") else 1)
+            name: reader(entries[name], 3 if name in ("albedo", "normal") else 1)
             for name in MAP_NAMES
             if name in entries
         }
@@ -131,10 +137,10 @@ def load_bundle(folder: Path) -> Scene:
 
     return Scene(
         background=read(record.background["image"], 3),
-        background_maps=maps(record.background),
-        object_maps=maps(record.object),
-        object_mask=read(record.object["mask"], 1),
-        footprint_depth=read(record.footprint_depth, 1) if record.footprint_depth else None,
+        background_maps=maps(record.background, read),
+        object_maps=maps(record.object, read_sparse),
+        object_mask=read_sparse(record.object["mask"], 1),
+        footprint_depth=read_sparse(record.footprint_depth, 1) if record.footprint_depth else None,
         truth=read(record.truth, 3) if record.truth else None,
         field_of_view=record.field_of_view,
         name=record.name,
@@ -217,8 +223,10 @@ def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]
         raise ShapeError(f"{path}: expected {channels} channels, got shape {pixels.shape}")
     with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
         if entry.encoding == "normal":
-            return (np.float32(2.0) * pixels - np.float32(1.0)) * np.float32(entry.scale)
-        return decode_to_linear(pixels, entry.encoding) * np.float32(entry.scale)
+            pixels = np.float32(2.0) * pixels - np.float32(1.0)
+        else:
+            pixels = decode_to_linear(pixels, entry.encoding)
+        return pixels if entry.scale == 1.0 else pixels * np.float32(entry.scale)
 
 
 def _write_maps(folder: Path, owner: str, maps: Intrinsics) -> dict[str, MapFile]:

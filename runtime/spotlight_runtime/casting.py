@@ -27,6 +27,7 @@ __all__ = ["Cast", "caster_of", "megapixel"]
 
 
 MOST_PIXELS: Final = 1 << 20
+STRIP: Final = 64
 LEAST_SEEN: Final = 0.05
 """Share of a pixel beside the object below which its shadow is rather taken from around."""
 
@@ -89,6 +90,11 @@ def _magnified(shadow: FloatArray, small_mask: FloatArray, mask: FloatArray) -> 
     weight = np.where(seen > LEAST_SEEN, seen, np.float32(0.0))
     filled = fit_guided(whole, weight, shadow[..., None][..., :0]).coefficients[..., 0]
     filled = np.where(seen == 1.0, shadow, np.clip(filled, 0.0, 1.0))
-    large = magnify_rows(filled, 0, len(mask), (mask.shape[0], mask.shape[1]))
-    large *= np.clip(np.float32(1.0) - mask, 0.0, 1.0)
+    height, width = mask.shape
+    large = np.zeros((height, width), dtype=np.float32)
+    for top in range(0, height, STRIP):
+        bottom = min(top + STRIP, height)
+        rows = magnify_rows(filled, top, bottom, (height, width))
+        if rows.any():  # rows of zeros that are not written take no memory
+            large[top:bottom] = rows * np.clip(np.float32(1.0) - mask[top:bottom], 0.0, 1.0)
     return large

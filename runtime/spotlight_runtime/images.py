@@ -236,8 +236,11 @@ def _quantise(image: FloatArray, bits: int, path: Path) -> npt.NDArray[Any]:
         raise InvalidInputError(f"bits: expected 8 or 16, got {bits!r}")
     if not np.isfinite(image).all():
         raise NonFiniteError(f"{path}: the image holds NaN or infinity; pixels are in [0, 1]")
+    levels = np.empty(image.shape, dtype=np.uint8 if bits == 8 else np.uint16)
     top = 2**bits - 1
-    return np.round(np.clip(image, 0.0, 1.0) * top).astype(np.uint8 if bits == 8 else np.uint16)
+    for row, values in enumerate(image):  # row by row: a photograph's worth of floats is much
+        levels[row] = np.round(np.clip(values, 0.0, 1.0) * top)
+    return levels
 
 
 def _stack(members: list[tuple[str, Any]], path: Path, layer: str) -> FloatArray:

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from spotlight_runtime.arrays import BoolArray, FloatArray
+from spotlight_runtime.canvas import Canvas
 from spotlight_runtime.colour import decode_to_linear, encode_linear
 from spotlight_runtime.composite import colour_balance, compose_picture, shadow_ratio
 from spotlight_runtime.conditioning import SHADOW_THRESHOLD, dilate, masked_region
@@ -78,8 +79,7 @@ class WindowLayer:
     Attributes
     ----------
     spec : BackboneSpec
-    scene : Scene
-        At the photograph's scale.
+    canvas : Canvas
     window : Window
     shadow : ndarray of float32, shape (H, W)
         Guiding shadow at the photograph's scale.
@@ -93,7 +93,7 @@ class WindowLayer:
     """
 
     spec: BackboneSpec
-    scene: Scene
+    canvas: Canvas
     window: Window
     shadow: FloatArray
     ratio: GuidedFit
@@ -103,13 +103,12 @@ class WindowLayer:
     def rows(self, top: int, bottom: int) -> tuple[FloatArray, BoolArray]:
         """See `Layer`."""
         strip = np.s_[top:bottom]
-        mask = self.window.crop(self.scene.object_mask)[strip]
-        background = np.clip(self.window.crop(self.scene.background)[strip], 0.0, 1.0)
-        shadow = self.window.crop(self.shadow)[strip]
+        mask = self.window.crop(self.canvas.mask)[strip]
+        background = np.clip(self.window.crop(self.canvas.background)[strip], 0.0, 1.0)
         size = (self.window.height, self.window.width)
         changed = self._changed(top, bottom)
         if changed.any():
-            guide = shadow[..., None]
+            guide = self._shadow_beside_object(top, bottom)[..., None]
             ratio = self.ratio.rows(guide, top, bottom, size, np.ones_like(mask))
             ratio = np.float32(1.0) + changed * (np.clip(ratio, 0.0, 1.0) - np.float32(1.0))
             encoded = encode_linear(background, self.spec.image_encoding) * ratio[..., None]
@@ -122,8 +121,8 @@ class WindowLayer:
     def _object(self, top: int, bottom: int, mask: FloatArray) -> FloatArray:
         """Light from the object, linear and premultiplied."""
         strip = np.s_[top:bottom]
-        albedo = self.window.crop(self.scene.object_maps.albedo)[strip]
-        normal = self.window.crop(_normal_guide(self.scene))[strip]
+        albedo = self.window.crop(self.canvas.albedo)[strip]
+        normal = self.window.crop(self.canvas.normal)[strip]
         size = (self.window.height, self.window.width)
         dark = np.float32(DARKEST_ALBEDO) * mask
         light = np.empty(albedo.shape, dtype=np.float32)
@@ -132,6 +131,18 @@ class WindowLayer:
             shading = _divided(fit.rows(guide, top, bottom, size, mask), mask)
             light[..., channel] = np.maximum(shading, 0.0) * (albedo[..., channel] + dark) - dark
         return np.clip(light, 0.0, mask[..., None])
+
+    def _shadow_beside_object(self, top: int, bottom: int) -> FloatArray:
+        """Rows [top, bottom) of the shadow, unattenuated where the object's edge covers some.
+
+        Shadows mostly come cleared under the object, by its coverage. On its edge that would
+        leave a bright rim, so there the shadow is what it is next to it.
+        """
+        first, last = max(top - 1, 0), min(bottom + 1, self.window.height)
+        inside = np.s_[top - first : bottom - first]
+        shadow = np.ascontiguousarray(self.window.crop(self.shadow)[first:last])
+        covered = self.window.crop(self.canvas.mask)[top:bottom] > 0.0
+        return np.where(covered, dilate(shadow)[inside], shadow[inside])
 
     def _changed(self, top: int, bottom: int) -> FloatArray:
         """How far rows [top, bottom) take the predicted ratio, in [0, 1]."""
@@ -142,7 +153,7 @@ class WindowLayer:
             min(bottom + SOFT_BORDER + 1, self.window.height),
         )
         apron = np.s_[first:last]
-        mask = self.window.crop(self.scene.object_mask)[apron]
+        mask = self.window.crop(self.canvas.mask)[apron]
         amount = self.window.crop(self.shadow)[apron] - np.float32(SHADOW_THRESHOLD)
         amount = np.clip(amount / np.float32(FULL_CHANGE - SHADOW_THRESHOLD), 0.0, 1.0)
         amount = amount * amount * (np.float32(3.0) - np.float32(2.0) * amount)
@@ -168,7 +179,7 @@ class WindowLayer:
 
 def frame_layer(
     spec: BackboneSpec,
-    scene: Scene,
+    size: tuple[int, int],
     view: Scene,
     shadow: FloatArray,
     predicted: FloatArray,
@@ -180,8 +191,8 @@ def frame_layer(
     Parameters
     ----------
     spec : BackboneSpec
-    scene : Scene
-        The photograph.
+    size : tuple of int
+        Height and width of the photograph.
     view : Scene
         What was diffused: the photograph, its border grown to what the VAE takes.
     shadow : ndarray of float32, shape (h, w)
@@ -197,13 +208,13 @@ def frame_layer(
     background = np.clip(encode_linear(view.background, spec.image_encoding), 0.0, 1.0)
     region = masked_region(shadow, view.object_mask) if fidelity == "paper" else None
     image, untouched = compose_picture(background, predicted, no_shadow, view.object_mask, region)
-    crop = np.s_[: scene.size[0], : scene.size[1]]
+    crop = np.s_[: size[0], : size[1]]
     return FrameLayer(decode_to_linear(image, spec.image_encoding)[crop], untouched[crop])
 
 
 def window_layer(
     spec: BackboneSpec,
-    scene: Scene,
+    canvas: Canvas,
     window: Window,
     shadow: FloatArray,
     view: Scene,
@@ -217,7 +228,7 @@ def window_layer(
     Parameters
     ----------
     spec : BackboneSpec
-    scene : Scene
+    canvas : Canvas
         The photograph.
     window : Window
     shadow : ndarray of float32, shape (H, W)
@@ -247,7 +258,7 @@ def window_layer(
     own = light - visible[..., None] * decode_to_linear(behind, spec.image_encoding)
     return WindowLayer(
         spec=spec,
-        scene=scene,
+        canvas=canvas,
         window=window,
         shadow=shadow,
         ratio=ratio,
@@ -265,7 +276,7 @@ def _fit_shading(view: Scene, own: FloatArray) -> tuple[GuidedFit, ...]:
     mask = view.object_mask
     light = own / np.maximum(mask, np.float32(THINNEST))[..., None]
     albedo = np.clip(_divided(view.object_maps.albedo, mask), 0.0, 1.0)
-    normal = _divided(_normal_guide(view), mask)
+    normal = _divided(Canvas.of(view).normal, mask)
     dark = np.float32(DARKEST_ALBEDO)
     counted = np.where(mask >= THINNEST, mask * mask, np.float32(0.0))
     counted = counted * (albedo.mean(axis=2) + dark) ** 2
@@ -278,12 +289,6 @@ def _fit_shading(view: Scene, own: FloatArray) -> tuple[GuidedFit, ...]:
         )
         for channel in range(3)
     )
-
-
-def _normal_guide(scene: Scene) -> FloatArray:
-    """The object's normals, premultiplied; no channels where it has none."""
-    normal = scene.object_maps.normal
-    return scene.object_maps.albedo[..., :0] if normal is None else normal
 
 
 def _divided(premultiplied: FloatArray, cover: FloatArray) -> FloatArray:

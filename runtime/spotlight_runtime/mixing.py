@@ -1,4 +1,4 @@
-"""Several lights in one picture, and the picture itself.
+"""Several lights in one picture.
 
 Each light is a relight of its own: the picture ``out_i`` this scene would have if that light were
 the one that casts the shadow. Light is additive, so under several lights each gives its share of
@@ -23,25 +23,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.guides import GuidingShadow
-from spotlight_runtime.layers import Layer
 from spotlight_runtime.lights import Vector
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.window import Window
 
-__all__ = ["Mix", "put_back"]
-
-
-STRIP_PIXELS: Final = 1 << 19
-"""Pixels worked on at a time: temporary arrays of a few megabytes."""
+__all__ = ["Mix"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,39 +78,6 @@ class Mix:
         for i in self.order:
             total += self.shares[i] * pictures[i]
         return total
-
-
-def put_back(scene: Scene, window: Window, layers: Sequence[Layer], mix: Mix) -> FloatArray:
-    """The picture: the photograph, and in the window the layers' weighted sum.
-
-    Parameters
-    ----------
-    scene : Scene
-        The photograph.
-    window : Window
-    layers : sequence of Layer
-        One a light.
-    mix : Mix
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W, 3)
-        sRGB-encoded, in [0, 1]; what no layer touches is the photograph's, bit for bit.
-    """
-    height, width = scene.size
-    image = np.empty((height, width, 3), dtype=np.float32)
-    step = max(1, STRIP_PIXELS // width)
-    for top in range(0, height, step):
-        image[top : top + step] = linear_to_srgb(scene.background[top : top + step])
-    inside = window.crop(image)
-    step = max(1, STRIP_PIXELS // window.width)
-    for top in range(0, window.height, step):
-        strip = inside[top : top + step]
-        rows = [layer.rows(top, top + len(strip)) for layer in layers]
-        untouched = np.logical_and.reduce([kept for _, kept in rows])
-        lit = linear_to_srgb(mix.sum([linear for linear, _ in rows]))
-        strip[:] = np.where(untouched[..., None], strip, lit)
-    return image
 
 
 def _key(guide: GuidingShadow) -> tuple[float, Vector, bytes]:

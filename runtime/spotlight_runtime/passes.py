@@ -18,10 +18,10 @@ from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_
 from spotlight_runtime.conditioning import composite_maps, conditioning_array
 from spotlight_runtime.denoise import denoise, denoiser_available, require_denoiser
 from spotlight_runtime.layers import Layer, frame_layer, window_layer
-from spotlight_runtime.mixing import Mix, put_back
 from spotlight_runtime.models import predictor
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.preparation import Prepared
+from spotlight_runtime.putback import put_back
 from spotlight_runtime.result import PassName, Progress, RelightResult, Stopwatch
 from spotlight_runtime.sampler import Fidelity, LoopInputs, Step, sample, shadow_guided
 from spotlight_runtime.scene import Scene
@@ -30,12 +30,12 @@ from spotlight_runtime.sessions import Network
 from spotlight_runtime.solvers import make_solver
 from spotlight_spec import BackboneSpec
 
-__all__ = ["Run", "denoising", "develop", "guided_pass", "layer", "plain_pass", "result"]
+__all__ = ["Task", "denoising", "develop", "guided_pass", "layer", "plain_pass", "result"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
-    """One relight under way.
+class Task:
+    """A relight made ready to run.
 
     Attributes
     ----------
@@ -60,10 +60,13 @@ class Run:
         """How many lights there are."""
         return len(self.prepared.guides)
 
-    def only(self, number: int) -> Run:
+    def fresh(self) -> Task:
+        """The same with a stopwatch of its own, for one more run."""
+        return replace(self, stopwatch=Stopwatch(self.stopwatch.seconds))
+
+    def only(self, number: int) -> Task:
         """The same with one of its lights."""
-        guides, shadows = self.prepared.guides[number], self.prepared.shadows[number]
-        return replace(self, prepared=replace(self.prepared, guides=(guides,), shadows=(shadows,)))
+        return replace(self, prepared=self.prepared.only(number))
 
     def drain(
         self, trajectory: Iterator[Step], stage: PassName, light: int
@@ -199,12 +202,12 @@ def layer(
     Layer
     """
     shadow, _ = prepared.shadows[number]
-    scene, view = prepared.scene, prepared.view
+    canvas, view = prepared.canvas, prepared.view
     if prepared.window.native:
-        return frame_layer(spec, scene, view, shadow, predicted, no_shadow, fidelity)
+        return frame_layer(spec, canvas.size, view, shadow, predicted, no_shadow, fidelity)
     return window_layer(
         spec,
-        scene,
+        canvas,
         prepared.window,
         prepared.guides[number].positive,
         view,
@@ -217,10 +220,9 @@ def layer(
 
 def result(
     spec: BackboneSpec,
-    run: Run,
+    task: Task,
     predicted: Sequence[FloatArray],
     no_shadow: FloatArray,
-    mix: Mix,
     branches: int,
     model: dict[str, Any],
 ) -> RelightResult:
@@ -229,12 +231,11 @@ def result(
     Parameters
     ----------
     spec : BackboneSpec
-    run : Run
+    task : Task
     predicted : sequence of ndarray of float32, shape (h, w, 3)
         As `develop` returns them, one a light.
     no_shadow : ndarray of float32, shape (h, w, 3)
         Likewise, of the pass without shadow.
-    mix : Mix
     branches : int
         How many have been run, for the count of evaluations.
     model : dict
@@ -244,13 +245,13 @@ def result(
     -------
     RelightResult
     """
-    prepared = run.prepared
-    with run.stopwatch.stage("composite"):
+    prepared = task.prepared
+    with task.stopwatch.stage("composite"):
         layers = [
-            layer(spec, prepared, number, picture, no_shadow, run.options.fidelity)
+            layer(spec, prepared, number, picture, no_shadow, task.options.fidelity)
             for number, picture in enumerate(predicted)
         ]
-        image = put_back(prepared.scene, prepared.window, layers, mix)
+        image = put_back(prepared.canvas, prepared.window, layers, prepared.mix)
     height, width = prepared.window.size
 
     def shown(linear: FloatArray) -> FloatArray:
@@ -259,12 +260,12 @@ def result(
     lit = [decode_to_linear(picture, spec.image_encoding) for picture in predicted]
     return RelightResult(
         image=image,
-        prediction=shown(mix.sum(lit)),
+        prediction=shown(prepared.mix.sum(lit)),
         no_shadow=shown(decode_to_linear(no_shadow, spec.image_encoding)),
-        options=run.options,
-        evaluations=run.steps * branches,
-        timings=dict(run.stopwatch.seconds),
-        denoised=run.denoised,
+        options=task.options,
+        evaluations=task.steps * branches,
+        timings=dict(task.stopwatch.seconds),
+        denoised=task.denoised,
         window=prepared.window,
         guides=prepared.guides,
         model=model,

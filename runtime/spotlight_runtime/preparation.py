@@ -6,15 +6,17 @@ All randomness of a relight is drawn here.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, check_array, pad_edge
 from spotlight_runtime.blending import downsample_antialiased, latent_shadow_mask
+from spotlight_runtime.canvas import Canvas
 from spotlight_runtime.codec import encode_image
 from spotlight_runtime.conditioning import conditioning_array, rough_composite
 from spotlight_runtime.guides import GuidingShadow
+from spotlight_runtime.mixing import Mix
 from spotlight_runtime.noise import gaussian
 from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.sampler import LoopInputs
@@ -34,10 +36,12 @@ class Prepared:
 
     Attributes
     ----------
-    scene : Scene
+    canvas : Canvas
         The photograph.
     guides : tuple of GuidingShadow
-        At the photograph's scale, one a light.
+        At the photograph's scale, one a light; the negative ones have served and are left out.
+    mix : Mix
+        How they combine.
     window : Window
         One for all lights, so that they can share the pass without shadow.
     view : Scene
@@ -46,11 +50,17 @@ class Prepared:
         Positive and negative of each light, cleared under the object.
     """
 
-    scene: Scene
+    canvas: Canvas
     guides: tuple[GuidingShadow, ...]
+    mix: Mix
     window: Window
     view: Scene
     shadows: tuple[Pair, ...]
+
+    def only(self, number: int) -> Prepared:
+        """The same with one of its lights."""
+        guide = self.guides[number]
+        return replace(self, guides=(guide,), mix=Mix.of([guide]), shadows=(self.shadows[number],))
 
 
 def prepare_window(
@@ -69,6 +79,11 @@ def prepare_window(
     Returns
     -------
     Prepared
+
+    Raises
+    ------
+    InvalidInputError
+        If in some channel no light gives anything.
     """
     drawn = [s for guide in guides for s in (guide.positive, guide.negative) if s is not None]
     window = choose_window(spec.size, spec.latent.downscale, scene.object_mask, drawn, mode)
@@ -84,8 +99,14 @@ def prepare_window(
         )
 
     prepared = [pair(guide) for guide in guides]
-    view = prepared[0][0]
-    return Prepared(scene, tuple(guides), window, view, tuple(made for _, made in prepared))
+    return Prepared(
+        canvas=Canvas.of(scene),
+        guides=tuple(replace(guide, negative=None) for guide in guides),
+        mix=Mix.of(guides),
+        window=window,
+        view=prepared[0][0],
+        shadows=tuple(shadows for _, shadows in prepared),
+    )
 
 
 def prepare(

@@ -15,11 +15,13 @@ from typing import Final
 import numpy as np
 
 from spotlight_runtime.arrays import BoolArray, FloatArray
+from spotlight_runtime.canvas import Canvas
 from spotlight_runtime.casting import megapixel
 from spotlight_runtime.colour import luma
 from spotlight_runtime.guides import Guide, GuidingShadow, guiding_shadows
 from spotlight_runtime.lights import Light
-from spotlight_runtime.mixing import Mix, put_back
+from spotlight_runtime.mixing import Mix
+from spotlight_runtime.putback import put_back
 from spotlight_runtime.scene import Scene
 from spotlight_runtime.shadow import floor_of
 from spotlight_runtime.window import Window
@@ -60,7 +62,7 @@ class PreviewLayer:
 
     Attributes
     ----------
-    scene : Scene
+    canvas : Canvas
     shadow : ndarray of float32, shape (H, W)
     towards : ndarray of float32, shape (3,)
         Unit vector towards the light, camera space.
@@ -68,7 +70,7 @@ class PreviewLayer:
         Light a white surface sends back in this photograph.
     """
 
-    scene: Scene
+    canvas: Canvas
     shadow: FloatArray
     towards: FloatArray
     brightness: FloatArray
@@ -76,17 +78,17 @@ class PreviewLayer:
     def rows(self, top: int, bottom: int) -> tuple[FloatArray, BoolArray]:
         """See `Layer`."""
         strip = np.s_[top:bottom]
-        mask, maps = self.scene.object_mask[strip], self.scene.object_maps
+        mask, normal = self.canvas.mask[strip], self.canvas.normal[strip]
         shadow = self.shadow[strip]
         left = (np.float32(1.0) - np.float32(OPACITY) * shadow) * (np.float32(1.0) - mask)
-        light = np.clip(self.scene.background[strip], 0.0, 1.0) * left[..., None]
+        light = np.clip(self.canvas.background[strip], 0.0, 1.0) * left[..., None]
         if mask.any():
             facing = np.full_like(mask, 0.5)
-            if maps.normal is not None:
-                cosine = maps.normal[strip] @ self.towards
+            if normal.shape[2]:
+                cosine = normal @ self.towards
                 facing = np.divide(cosine, mask, out=np.zeros_like(mask), where=mask > 0.0)
             lit = np.float32(FROM_EVERYWHERE) + np.float32(FROM_LIGHT) * np.maximum(facing, 0.0)
-            light += maps.albedo[strip] * (lit[..., None] * self.brightness)
+            light += self.canvas.albedo[strip] * (lit[..., None] * self.brightness)
         return light, (mask == 0.0) & (shadow == 0.0)
 
 
@@ -109,14 +111,15 @@ def preview(scene: Scene, light: Guide | Sequence[Guide]) -> Preview:
         If a light or shadow is out of its domain.
     """
     guides, layers = _layers(scene, light)
-    return Preview(put_back(scene, Window.whole(scene.size), layers, Mix.of(guides)), guides)
+    image = put_back(Canvas.of(scene), Window.whole(scene.size), layers, Mix.of(guides))
+    return Preview(image, guides)
 
 
 def preview_each(scene: Scene, lights: Sequence[Guide]) -> Iterator[Preview]:
     """Sketch each light alone; see `preview`."""
-    window = Window.whole(scene.size)
+    canvas, window = Canvas.of(scene), Window.whole(scene.size)
     for guide, layer in zip(*_layers(scene, lights)):
-        yield Preview(put_back(scene, window, [layer], Mix.of([guide])), (guide,))
+        yield Preview(put_back(canvas, window, [layer], Mix.of([guide])), (guide,))
 
 
 def _layers(
@@ -132,7 +135,7 @@ def _layers(
         for each in lights
     ]
     layers = [
-        PreviewLayer(scene, guide.positive, direction, brightness)
+        PreviewLayer(Canvas.of(scene), guide.positive, direction, brightness)
         for guide, direction in zip(guides, towards)
     ]
     return guides, layers

@@ -19,10 +19,9 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.codec import decode_latents
 from spotlight_runtime.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.guides import Guide, Negative, guiding_shadows
-from spotlight_runtime.mixing import Mix
 from spotlight_runtime.models import LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.options import OptionChanges, RelightOptions
-from spotlight_runtime.passes import Run
+from spotlight_runtime.passes import Task
 from spotlight_runtime.preparation import loop_inputs, prepare_window
 from spotlight_runtime.result import Progress, RelightResult, Stopwatch
 from spotlight_runtime.sampler import LoopInputs, Step
@@ -124,10 +123,6 @@ class Relighter:
         **changes
             Single options by name: ``gamma=3.0, seed=469``.
 
-        Returns
-        -------
-        RelightResult
-
         Raises
         ------
         InvalidInputError
@@ -155,7 +150,7 @@ class Relighter:
     ) -> list[RelightResult]:
         """Relight under each light alone: one picture a light, of one window and seed.
 
-        The pass without shadow is run once for all. Parameters are those of `relight`.
+        They share the pass without shadow. Parameters and errors are those of `relight`.
         """
         made = self.run_each(scene, lights, negative, options, **changes)
         return [each for each in made if isinstance(each, RelightResult)]
@@ -168,26 +163,8 @@ class Relighter:
         options: RelightOptions | None = None,
         **changes: Unpack[OptionChanges],
     ) -> Generator[Progress, None, RelightResult]:
-        """Do as `relight`, as a generator that yields after each step and returns the result.
-
-        Close it to cancel between two steps.
-        """
-        run = self._start(scene, light, negative, RelightOptions.of(options, changes))
-        mix = Mix.of(run.prepared.guides)
-        with run.stopwatch.stage("encode"):
-            inputs = [self._inputs(run, number) for number in range(run.lights)]
-            self._release("vae_encoder")
-        latents = []
-        for number, each in enumerate(inputs):
-            latents.append((yield from self._guided(run, number, each)))
-        plain = yield from self._plain(run, inputs[0].initial_noise)
-        self._release("condition_encoder", "denoiser", "controlnet", "unet")
-        predicted = [self._develop(run, z) for z in latents]
-        no_shadow = self._develop(run, plain)
-        self._release("vae_decoder")
-        return passes.result(
-            self.spec, run, predicted, no_shadow, mix, 2 * run.lights + 1, self._model
-        )
+        """Do as `relight`, yielding after each step, returning the result; close it to cancel."""
+        return (yield from self.start(self.prepare(scene, light, negative, options, **changes)))
 
     def run_each(
         self,
@@ -197,23 +174,62 @@ class Relighter:
         options: RelightOptions | None = None,
         **changes: Unpack[OptionChanges],
     ) -> Generator[Progress | RelightResult, None, None]:
-        """Do as `relight_each`, as a generator of progress and, as each is done, results.
+        """Do as `relight_each`, yielding progress and, as each picture is done, its result."""
+        yield from self.start_each(self.prepare(scene, lights, negative, options, **changes))
 
-        A caller that keeps none of them needs room for one.
+    def prepare(
+        self,
+        scene: Scene,
+        light: Guide | Sequence[Guide],
+        negative: Negative | None = None,
+        options: RelightOptions | None = None,
+        **changes: Unpack[OptionChanges],
+    ) -> Task:
+        """Cast shadows, choose the window and bring everything to the model's scale.
+
+        What comes out is all that is needed; who lets go of the scene here has a relight of a
+        12-megapixel photograph in half the memory. Parameters and errors are those of `relight`.
         """
-        run = self._start(scene, lights, negative, RelightOptions.of(options, changes))
+        chosen = RelightOptions.of(options, changes)
+        denoised = passes.denoising(self.spec, chosen)  # an error about it now, not after the loop
+        steps, stopwatch = chosen.steps_for(self.spec), Stopwatch()
+        with stopwatch.stage("prepare"):
+            guides = guiding_shadows(scene, light, negative)
+            prepared = prepare_window(self.spec, scene, guides, chosen.window)
+        return Task(prepared, replace(chosen, steps=steps), steps, denoised, stopwatch)
+
+    def start(self, task: Task) -> Generator[Progress, None, RelightResult]:
+        """`run`, of what `prepare` made."""
+        task = task.fresh()
+        with task.stopwatch.stage("encode"):
+            inputs = [self._inputs(task, number) for number in range(task.lights)]
+            self._release("vae_encoder")
+        latents = []
+        for number, each in enumerate(inputs):
+            latents.append((yield from self._guided(task, number, each)))
+        plain = yield from self._plain(task, inputs[0].initial_noise)
+        self._release("condition_encoder", "denoiser", "controlnet", "unet")
+        predicted = [self._develop(task, z) for z in latents]
+        no_shadow = self._develop(task, plain)
+        self._release("vae_decoder")
+        branches = 2 * task.lights + 1
+        return passes.result(self.spec, task, predicted, no_shadow, branches, self._model)
+
+    def start_each(self, task: Task) -> Generator[Progress | RelightResult, None, None]:
+        """`run_each`, of what `prepare` made."""
+        task = task.fresh()
         no_shadow: FloatArray | None = None
-        for number in range(run.lights):
-            with run.stopwatch.stage("encode"):
-                inputs = self._inputs(run, number)
+        for number in range(task.lights):
+            with task.stopwatch.stage("encode"):
+                inputs = self._inputs(task, number)
             branches = 2
             if no_shadow is None:
-                plain = yield from self._plain(run, inputs.initial_noise)
-                no_shadow, branches = self._develop(run, plain), 3
-            latents = yield from self._guided(run, number, inputs)
-            alone = run.only(number)
-            mix, predicted = Mix.of(alone.prepared.guides), [self._develop(run, latents)]
-            yield passes.result(self.spec, alone, predicted, no_shadow, mix, branches, self._model)
+                plain = yield from self._plain(task, inputs.initial_noise)
+                no_shadow, branches = self._develop(task, plain), 3
+            latents = yield from self._guided(task, number, inputs)
+            alone = task.only(number)
+            predicted = [self._develop(task, latents)]
+            yield passes.result(self.spec, alone, predicted, no_shadow, branches, self._model)
         self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
 
     def preview_of(self, progress: Progress) -> FloatArray:
@@ -243,13 +259,12 @@ class Relighter:
         **changes: Unpack[OptionChanges],
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
-        run = self._start(scene, light, negative, RelightOptions.of(options, changes))
-        return self._inputs(run, 0)
+        return self._inputs(self.prepare(scene, light, negative, options, **changes), 0)
 
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
     ) -> Iterator[Step]:
-        """Run SpotLight's loop on ready arrays, yielding the latents step by step.
+        """Task SpotLight's loop on ready arrays, yielding the latents step by step.
 
         No random number is drawn and nothing is derived from a scene: with another
         implementation's arrays this replays its trajectory. Of the options, gamma, beta, steps,
@@ -257,42 +272,27 @@ class Relighter:
         """
         return passes.guided_pass(self._networks, self.spec, inputs, options or RelightOptions())
 
-    def _start(
-        self,
-        scene: Scene,
-        light: Guide | Sequence[Guide],
-        negative: Negative | None,
-        options: RelightOptions,
-    ) -> Run:
-        denoised = passes.denoising(self.spec, options)  # an error about it now, not after the loop
-        steps = options.steps_for(self.spec)
-        stopwatch = Stopwatch()
-        with stopwatch.stage("prepare"):
-            guides = guiding_shadows(scene, light, negative)
-            prepared = prepare_window(self.spec, scene, guides, options.window)
-        return Run(prepared, replace(options, steps=steps), steps, denoised, stopwatch)
-
-    def _inputs(self, run: Run, number: int) -> LoopInputs:
-        prepared = run.prepared
+    def _inputs(self, task: Task, number: int) -> LoopInputs:
+        prepared = task.prepared
         shadows = prepared.shadows[number]
-        return loop_inputs(self._networks, self.spec, prepared.view, shadows, run.options)
+        return loop_inputs(self._networks, self.spec, prepared.view, shadows, task.options)
 
     def _guided(
-        self, run: Run, number: int, inputs: LoopInputs
+        self, task: Task, number: int, inputs: LoopInputs
     ) -> Generator[Progress, None, FloatArray]:
-        with run.stopwatch.stage("condition"):
-            trajectory = passes.guided_pass(self._networks, self.spec, inputs, run.options)
-        return (yield from run.drain(trajectory, "relight", number))
+        with task.stopwatch.stage("condition"):
+            trajectory = passes.guided_pass(self._networks, self.spec, inputs, task.options)
+        return (yield from task.drain(trajectory, "relight", number))
 
-    def _plain(self, run: Run, noise: FloatArray) -> Generator[Progress, None, FloatArray]:
-        view = run.prepared.view
-        with run.stopwatch.stage("condition"):
-            trajectory = passes.plain_pass(self._networks, self.spec, view, noise, run.options)
-        return (yield from run.drain(trajectory, "no shadow", 0))
+    def _plain(self, task: Task, noise: FloatArray) -> Generator[Progress, None, FloatArray]:
+        view = task.prepared.view
+        with task.stopwatch.stage("condition"):
+            trajectory = passes.plain_pass(self._networks, self.spec, view, noise, task.options)
+        return (yield from task.drain(trajectory, "no shadow", 0))
 
-    def _develop(self, run: Run, latents: FloatArray) -> FloatArray:
-        denoised, view = run.denoised == "on", run.prepared.view
-        return passes.develop(self._networks, self.spec, view, latents, denoised, run.stopwatch)
+    def _develop(self, task: Task, latents: FloatArray) -> FloatArray:
+        denoised, view = task.denoised == "on", task.prepared.view
+        return passes.develop(self._networks, self.spec, view, latents, denoised, task.stopwatch)
 
     def _release(self, *names: str) -> None:
         if self._low_memory and isinstance(self._networks, LazyNetworks):

@@ -16,8 +16,9 @@ from spotlight_runtime.colour import luma
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.guides import GuidingShadow
 from spotlight_runtime.images import read_image
+from spotlight_runtime.scribble import clean_scribble
 
-__all__ = ["read_ready_shadow", "read_shadow", "ready_shadows"]
+__all__ = ["read_drawing", "read_ready_shadow", "read_shadow", "ready_shadows"]
 
 
 _POSITIVE: Final = "shadow_positive_{}.png"
@@ -41,6 +42,42 @@ def read_shadow(path: Path) -> FloatArray:
     if pixels.ndim == 3:
         pixels = luma(pixels[..., :3]) if pixels.shape[2] >= 3 else pixels[..., 0]
     return np.clip(pixels, 0.0, 1.0)
+
+
+def read_drawing(
+    path: Path, object_mask: FloatArray, *, softness: float | None = None, invert: bool = False
+) -> FloatArray:
+    """Read a guiding shadow, or a drawing of one, of any size.
+
+    An image of the scene's size counts as it is, unless it is to be softened or inverted. Any
+    other is taken for a scribble, stretched to the scene and cleaned (`clean_scribble`).
+
+    Parameters
+    ----------
+    path : Path
+    object_mask : ndarray of float32, shape (H, W)
+    softness : float, optional
+        Pixels over which its edges fade.
+    invert : bool
+        Black is shadow.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+
+    Raises
+    ------
+    ImageFileError
+        If the file cannot be read.
+    InvalidInputError
+        If nothing is drawn on it.
+    """
+    if softness is None and not invert:
+        shadow = read_shadow(path)
+        if shadow.shape == object_mask.shape:
+            return shadow
+    drawing = read_image(path)
+    return clean_scribble(drawing, object_mask, softness=softness or 0.0, invert=invert)
 
 
 def ready_shadows(scene: Path) -> list[str]:

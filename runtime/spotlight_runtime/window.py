@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 import cv2
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import BoolArray, FloatArray
 from spotlight_runtime.conditioning import SHADOW_THRESHOLD
 from spotlight_runtime.scene import MAP_NAMES, Intrinsics, Scene
 
@@ -23,9 +23,10 @@ __all__ = ["Window", "WindowMode", "choose_window", "look", "shrink"]
 
 WindowMode = Literal["auto", "frame"]
 
-MARGIN: Final = 0.25
-"""Context on each side of object and shadows, as a share of their longer side: with it they fill
-two thirds of the window, as they do in the pictures renderers are trained on."""
+LARGEST_OBJECT: Final = 0.55
+"""Share of the window's side that the object takes at most: what renderers are trained on."""
+MARGIN: Final = 0.1
+"""Context on each side of object and shadows together, as a share of their longer side."""
 ENOUGH_CONTACT: Final = 0.5
 """A shrunken pixel touches the ground where at least this share of it does."""
 SHORTEST_NORMAL: Final = 1e-6
@@ -105,17 +106,19 @@ def choose_window(
     frame = (height, width)
     if mode == "frame" or height * width <= size * size:
         return Window.whole(frame)
-    rows, columns = np.zeros(height, bool), np.zeros(width, bool)
-    for covered in (object_mask > 0.0, *(shadow > SHADOW_THRESHOLD for shadow in shadows)):
-        rows |= covered.any(axis=1)
-        columns |= covered.any(axis=0)
-    if not rows.any():
+    inserted = _box(object_mask > 0.0)
+    boxes = [inserted, *(_box(shadow > SHADOW_THRESHOLD) for shadow in shadows)]
+    there = [box for box in boxes if box is not None]
+    if not there:
         return _fitted(0, 0, height, width, frame, size, multiple)
-    (top, bottom), (left, right) = _extent(rows), _extent(columns)
-    side = max(size, math.ceil((1.0 + 2.0 * MARGIN) * max(bottom - top, right - left)))
+    lows, highs = np.array(there)[:, :2].min(axis=0), np.array(there)[:, 2:].max(axis=0)
+    needed = (1.0 + 2.0 * MARGIN) * float((highs - lows).max())
+    if inserted is not None:
+        needed = max(needed, max(np.subtract(inserted[2:], inserted[:2])) / LARGEST_OBJECT)
+    side = max(size, math.ceil(needed))
     high, wide = min(side, height), min(side, width)
-    top = _placed((top + bottom) // 2, high, height)
-    left = _placed((left + right) // 2, wide, width)
+    middle = (lows + highs) // 2
+    top, left = _placed(int(middle[0]), high, height), _placed(int(middle[1]), wide, width)
     return _fitted(top, left, high, wide, frame, size, multiple)
 
 
@@ -190,9 +193,12 @@ def _shrink_contact(depth: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.divide(shrink(depth, size), touching, out=np.zeros_like(touching), where=enough)
 
 
-def _extent(present: np.ndarray[Any, np.dtype[np.bool_]]) -> tuple[int, int]:
-    inside = np.flatnonzero(present)
-    return int(inside[0]), int(inside[-1]) + 1
+def _box(covered: BoolArray) -> tuple[int, int, int, int] | None:
+    """Top, left, bottom and right of what is covered; None where nothing is."""
+    rows, columns = (np.flatnonzero(covered.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return None
+    return int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1
 
 
 def _placed(centre: int, length: int, limit: int) -> int:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.guides import Guide, GuidingShadow, Negative
 from spotlight_runtime.lights import Light
 from spotlight_runtime.lights_file import read_lights
 from spotlight_runtime.scene import Scene
-from spotlight_runtime.shadow_files import read_ready_shadow, read_shadow, ready_shadows
+from spotlight_runtime.shadow_files import read_drawing, read_ready_shadow, ready_shadows
 from spotlight_runtime.sweep import ring
 
 __all__ = ["Asked", "Lighting", "choose_lighting"]
@@ -30,11 +30,14 @@ class Asked:
     elevation: float | None = None
     radius: float = 1.0
     distance: float = 10.0
+    directional: bool = False
     shadow: Path | None = None
     negative: str | None = None
     light: str | None = None
     lights: Path | None = None
     sweep: int | None = None
+    softness: float | None = None
+    invert: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,15 +90,15 @@ def choose_lighting(path: Path, scene: Scene, asked: Asked) -> Lighting:
             f"light: expected one of {', '.join(given)}, got {got}. Say where it is "
             f"(--azimuth 135 --elevation 45), or draw its shadow (--shadow drawing.png){known}"
         )
-    negative = _negative(asked.negative)
+    negative = _negative(asked, scene)
     if asked.shadow is not None:
-        return Lighting([read_shadow(asked.shadow)], negative, [asked.shadow.name])
+        return Lighting([_drawing(asked.shadow, asked, scene)], negative, [asked.shadow.name])
     if asked.light is not None:
         return _ready(path, [asked.light], negative, [asked.light])
     if asked.lights is not None:
         guides = read_lights(asked.lights)
         return Lighting(guides, negative, [f"light {i + 1}" for i in range(len(guides))])
-    distance = None if math.isinf(asked.distance) else asked.distance
+    distance = None if asked.directional else asked.distance
     elevation = ELEVATION if asked.elevation is None else asked.elevation
     if asked.sweep is None:
         light = Light(asked.azimuth, elevation, asked.radius, distance)
@@ -122,10 +125,16 @@ def _ready(
     return Lighting(guides, None, captions)
 
 
-def _negative(text: str | None) -> Negative | None:
+def _negative(asked: Asked, scene: Scene) -> Negative | None:
+    text = asked.negative
     if text is None or text in ("none", "opposite"):
         return text  # type: ignore[return-value]
-    return read_shadow(Path(text))
+    return _drawing(Path(text), asked, scene)
+
+
+def _drawing(path: Path, asked: Asked, scene: Scene) -> FloatArray:
+    mask = scene.object_mask
+    return read_drawing(path, mask, softness=asked.softness, invert=asked.invert)
 
 
 def _caption(light: Light) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,14 @@ from spotlight_runtime.cli.progress import drained, progress_bars
 from spotlight_runtime.guides import GuidingShadow
 from spotlight_runtime.images import write_image
 from spotlight_runtime.mixing import Mix
-from spotlight_runtime.options import RelightOptions
+from spotlight_runtime.passes import Task
 from spotlight_runtime.preview import preview, preview_each
 from spotlight_runtime.relighter import Relighter
 from spotlight_runtime.result import RelightResult
 from spotlight_runtime.scene import Scene
 from spotlight_runtime.sweep import Tile, contact_sheet, make_tile, write_animation
 
-__all__ = ["Picture", "one_picture", "pictures_each", "shadow_of", "write_sheet"]
+__all__ = ["Picture", "relit", "shadow_of", "sketches", "write_sheet"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,40 +46,32 @@ class Picture:
     summary: str
 
 
-def one_picture(
-    relighter: Relighter | None, scene: Scene, lighting: Lighting, options: RelightOptions
-) -> Picture:
-    """All lights in one picture; a sketch where there is no relighter."""
-    if relighter is None:
-        start = time.perf_counter()
-        sketch = preview(scene, lighting.guides)
-        seconds = time.perf_counter() - start
-        return Picture(sketch.image, sketch.guides, {"preview": True}, f"preview, {seconds:.1f} s")
-    with progress_bars() as show:
-        run = relighter.run(scene, lighting.guides, lighting.negative, options)
-        return _finished(drained(run, show))
+def sketches(scene: Scene, lighting: Lighting, each: bool) -> Iterator[Picture]:
+    """Previews: all lights in one picture, or each in one of its own."""
+    start = time.perf_counter()
+    made = preview_each(scene, lighting.guides) if each else iter([preview(scene, lighting.guides)])
+    for sketch in made:
+        summary = f"preview, {time.perf_counter() - start:.1f} s"
+        yield Picture(sketch.image, sketch.guides, {"preview": True}, summary)
 
 
-def pictures_each(
-    relighter: Relighter | None, scene: Scene, lighting: Lighting, options: RelightOptions
-) -> Iterator[Picture]:
-    """Each light in a picture of its own; sketches where there is no relighter."""
-    if relighter is None:
-        for sketch in preview_each(scene, lighting.guides):
-            yield Picture(sketch.image, sketch.guides, {"preview": True}, "preview")
-        return
+def relit(relighter: Relighter, task: Task, each: bool) -> Iterator[Picture]:
+    """Relights: all lights in one picture, or each in one of its own."""
     with progress_bars() as show:
-        for each in relighter.run_each(scene, lighting.guides, lighting.negative, options):
-            if isinstance(each, RelightResult):
-                yield _finished(each)
+        if not each:
+            yield _finished(drained(relighter.start(task), show))
+            return
+        for one in relighter.start_each(task):
+            if isinstance(one, RelightResult):
+                yield _finished(one)
             else:
-                show(each)
+                show(one)
 
 
 def write_sheet(
     pictures: Iterator[Picture],
-    scene: Scene,
-    lighting: Lighting,
+    mask: FloatArray,
+    captions: Sequence[str],
     output: Path,
     animation: Path | None,
 ) -> tuple[dict[str, Any], str]:
@@ -95,9 +87,9 @@ def write_sheet(
     tiles: list[Tile] = []
     reports: list[dict[str, Any]] = []
     summary = ""
-    for picture, caption in zip(pictures, lighting.captions):
+    for picture, caption in zip(pictures, captions):
         shadow = picture.guides[0].positive
-        tiles.append(make_tile(picture.image, shadow, scene.object_mask, caption))
+        tiles.append(make_tile(picture.image, shadow, mask, caption))
         reports.append({"light": caption, **picture.report})
         summary = picture.summary
     write_image(output, contact_sheet(tiles))

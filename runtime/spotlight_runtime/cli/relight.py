@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from spotlight_runtime.cli.lighting import Asked, choose_lighting
-from spotlight_runtime.cli.pictures import one_picture, pictures_each, shadow_of, write_sheet
+from spotlight_runtime.cli.pictures import relit, shadow_of, sketches, write_sheet
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.images import check_target, write_image
@@ -46,8 +46,8 @@ def relight(
     shadow: Annotated[
         Path | None,
         typer.Option(
-            help="The light's shadow as a grey image of the scene's size, white is shadow; a "
-            "scribble will do.",
+            help="The light's shadow as a grey image, white is shadow. One of another size than "
+            "the scene's is taken for a scribble and cleaned.",
             rich_help_panel=LIGHT,
         ),
     ] = None,
@@ -86,12 +86,30 @@ def relight(
     ] = 1.0,
     distance: Annotated[
         float,
+        typer.Option(help="Of the light, in sizes of the object.", rich_help_panel=FURTHER),
+    ] = 10.0,
+    directional: Annotated[
+        bool,
         typer.Option(
-            help="Of the light, in sizes of the object; inf for the sun, whose --radius is then "
-            "in degrees.",
+            "--directional",
+            help="A light infinitely far away, like the sun; --radius is then in degrees (0.27).",
             rich_help_panel=FURTHER,
         ),
-    ] = 10.0,
+    ] = False,
+    softness: Annotated[
+        float | None,
+        typer.Option(
+            help="Of a drawn --shadow: pixels over which its edges fade.", rich_help_panel=FURTHER
+        ),
+    ] = None,
+    invert: Annotated[
+        bool,
+        typer.Option(
+            "--invert",
+            help="The drawn --shadow is black on white paper.",
+            rich_help_panel=FURTHER,
+        ),
+    ] = False,
     negative: Annotated[
         str | None,
         typer.Option(
@@ -211,20 +229,39 @@ def relight(
         check_animation(animation)
         if sweep is None:
             raise InvalidInputError("--animation: expected --sweep beside it, say --sweep 8")
-    asked = Asked(azimuth, elevation, radius, distance, shadow, negative, light, lights, sweep)
+    asked = Asked(
+        azimuth=azimuth,
+        elevation=elevation,
+        radius=radius,
+        distance=distance,
+        directional=directional,
+        shadow=shadow,
+        negative=negative,
+        light=light,
+        lights=lights,
+        sweep=sweep,
+        softness=softness,
+        invert=invert,
+    )
     loaded = Scene.load(scene)
     lighting = choose_lighting(scene, loaded, asked)
-    relighter = None if preview else Relighter.load(model, threads=threads, low_memory=low_memory)
+    each, name, mask = sweep is not None, loaded.name, loaded.object_mask
     with notices():
-        if sweep is None:
-            picture = one_picture(relighter, loaded, lighting, options)
+        if preview:
+            pictures = sketches(loaded, lighting, each)
+        else:
+            relighter = Relighter.load(model, threads=threads, low_memory=low_memory)
+            task = relighter.prepare(loaded, lighting.guides, lighting.negative, options)
+            del loaded  # what the networks need next, the scene's maps need no more
+            pictures = relit(relighter, task, each)
+        if each:
+            facts, summary = write_sheet(pictures, mask, lighting.captions, output, animation)
+        else:
+            (picture,) = pictures
             write_image(output, picture.image)
             if shadow_out is not None:
                 write_image(shadow_out, shadow_of(picture.guides))
             facts, summary = picture.report, picture.summary
-        else:
-            each = pictures_each(relighter, loaded, lighting, options)
-            facts, summary = write_sheet(each, loaded, lighting, output, animation)
     if report is not None:
-        write_json(report, {"scene": loaded.name, "output": str(output), **facts})
+        write_json(report, {"scene": name, "output": str(output), **facts})
     print(f"{output}: {summary}", file=sys.stderr)

@@ -86,7 +86,7 @@ def plan(
     found = find_scenes(data)
     reference = [folder for folder in found if has_directions(folder, (DOMINANT,))][:scenes]
     user = [folder for folder in found if has_directions(folder, AZIMUTHS)][:user_scenes]
-    work = []
+    work: list[Work] = []
     for folder in sorted({*reference, *user}):
         directions = (DOMINANT,) * (folder in reference) + AZIMUTHS * (folder in user)
         work.append(Work(folder, directions, keep_images or len(work) < shown))

@@ -13,6 +13,7 @@ of the shading whatever its contrast, so a picture with too much ambient light s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -55,7 +56,7 @@ def shading(picture: FloatArray, scene: Scene) -> FloatArray:
     cover = scene.object_mask[covered][:, None].astype(np.float64)
     albedo = scene.object_maps.albedo[covered] / cover
     light = srgb_to_linear(picture[covered]).astype(np.float64)
-    return (light / np.maximum(albedo, DARKEST_ALBEDO)) @ LUMINANCE
+    return np.asarray((light / np.maximum(albedo, DARKEST_ALBEDO)) @ LUMINANCE)
 
 
 def distances(
@@ -94,5 +95,5 @@ def _distance(a: FloatArray, b: FloatArray, offset_free: bool) -> float:
     norms = float(a @ a) * float(b @ b)
     if norms <= 0.0:  # a black or, with the constant free, a flat shading resembles none
         return 1.0
-    cosine = float(a @ b) / norms**0.5
+    cosine = float(a @ b) / math.sqrt(norms)
     return 1.0 - cosine if offset_free else 1.0 - cosine**2

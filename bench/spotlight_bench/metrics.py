@@ -149,7 +149,7 @@ def flip_map(picture: FloatArray, truth: FloatArray) -> FloatArray:
     errors, _, _ = flip_evaluator.evaluate(
         reference, test, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False
     )
-    return errors[..., 0]
+    return np.asarray(errors[..., 0])
 
 
 def background_change(

@@ -46,7 +46,7 @@ def guide(test: TestScene, direction: Direction) -> FloatArray:
     lit = 1.0 - GUIDE_OPACITY * direction.shadow * (1.0 - scene.object_mask)
     photograph = linear_to_srgb(scene.background) * lit[..., None]
     mask = scene.object_mask[..., None]
-    return (photograph * (1.0 - mask) + GUIDE_GREY * mask).astype(np.float32)
+    return np.asarray(photograph * (1.0 - mask) + GUIDE_GREY * mask, dtype=np.float32)
 
 
 def sheet_rows(scenes: Sequence[TestScene]) -> list[tuple[TestScene, Direction]]:
@@ -90,7 +90,7 @@ def qualitative_sheet(
             told = "" if found is None else f"  {found:.1f} dB"
             picture = _stored(output, method, test, direction)
             panels.append(Panel(method.name + told, picture))
-        panels.append(Panel("truth", direction.truth))
+        panels.append(Panel("no truth" if direction.truth is None else "truth", direction.truth))
         lines.append(_strip(panels, test.scene.size))
     _stack(lines).save(path)
 

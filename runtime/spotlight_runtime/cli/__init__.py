@@ -7,6 +7,7 @@ import sys
 import typer
 
 from spotlight_runtime.cli.compose import compose
+from spotlight_runtime.cli.demo import demo
 from spotlight_runtime.cli.models import models
 from spotlight_runtime.cli.relight import relight
 from spotlight_runtime.cli.shadow import shadow
@@ -19,7 +20,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     help="Relight an object in a photograph by its shadow, on any CPU.",
-    epilog="Start with:  spotlight models,  then  spotlight relight --help",
+    epilog="Start with:  spotlight demo,  then  spotlight relight --help",
 )
 
 
@@ -28,7 +29,7 @@ def _about() -> None:
     """Relight an object in a photograph by its shadow, on any CPU."""
 
 
-for _command in (compose, shadow, relight, models):
+for _command in (demo, compose, shadow, relight, models):
     app.command()(_command)
 
 

@@ -15,7 +15,7 @@ from spotlight_runtime.scene import Scene
 __all__ = ["why_unseen"]
 
 
-_LEAST: Final = 5e-4
+_LEAST: Final = 1e-3
 """Of the picture; a sliver at the object's foot guides nothing."""
 _DARK: Final = 0.1
 """From here on a shadow counts as seen; also what hides the shading from the network."""

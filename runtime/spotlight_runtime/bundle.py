@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, sparse_copy
-from spotlight_runtime.colour import decode_to_linear
-from spotlight_runtime.errors import SceneError, ShapeError, UnsafePathError
+from spotlight_runtime.decoding import read_bytes
+from spotlight_runtime.errors import SceneError, UnsafePathError
 from spotlight_runtime.ground import Ground
-from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.map_files import (
+    MapFile,
+    covered_box,
+    read_map_file,
+    write_map,
+    write_part,
+    write_reduced,
+)
 from spotlight_runtime.mesh import ObjectMesh
 from spotlight_runtime.mesh_files import read_mesh, write_mesh
+from spotlight_runtime.parallel import in_parallel
 from spotlight_runtime.scene import MAP_NAMES, Intrinsics, Scene
-from spotlight_spec import RecordError, decode, encode, read_json, write_json
+from spotlight_spec import RecordError, decode, encode, read_json, replacing, write_json
 
 __all__ = [
     "SCENE_FILE",
@@ -34,25 +43,6 @@ __all__ = [
 SCENE_FILE: Final = "scene.json"
 MESH_FILE: Final = "object_mesh.npz"
 MAX_ZIP_BYTES: Final = 1 << 30
-
-
-@dataclass(frozen=True, slots=True)
-class MapFile:
-    """One image file of a bundle.
-
-    Attributes
-    ----------
-    file : str
-        Path relative to the bundle, inside it.
-    encoding : {"linear", "srgb", "gamma22", "normal"}
-        Transfer curve of the pixels; ``normal`` is 0.5 + 0.5·n.
-    scale : float
-        Multiplies the decoded values (for depth in a 16-bit PNG: units per full scale).
-    """
-
-    file: str
-    encoding: Literal["linear", "srgb", "gamma22", "normal"] = "linear"
-    scale: float = 1.0
 
 
 _Row = tuple[float, float, float, float]
@@ -120,10 +110,12 @@ def load_bundle(folder: Path) -> Scene:
         raise SceneError(str(error)) from error
 
     def read(entry: MapFile, channels: int) -> FloatArray:
-        return _read_map(folder, entry, channels, (record.height, record.width))
+        path = _inside(folder, entry.file)
+        return read_map_file(path, entry, channels, (record.height, record.width))
 
     def read_sparse(entry: MapFile, channels: int) -> FloatArray:
-        return sparse_copy(read(entry, channels))
+        value = read(entry, channels)
+        return value if entry.corner is not None else sparse_copy(value)
 
     def maps(
         entries: dict[str, MapFile], reader: Callable[[MapFile, int], FloatArray]
@@ -149,22 +141,48 @@ def load_bundle(folder: Path) -> Scene:
     )
 
 
-def save_bundle(scene: Scene, folder: Path) -> None:
-    """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene."""
+def save_bundle(
+    scene: Scene, folder: Path, *, photograph: Path | None = None, working_side: int | None = None
+) -> None:
+    """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    folder : Path
+    photograph : Path, optional
+        sRGB-encoded file whose pixels are exactly the scene's background; it is copied.
+    working_side : int, optional
+        Pixels of the longer side that the background's maps have details of, as an estimator's
+        have; they are stored accordingly, and not to the bit.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise SceneError(f"{folder}: expected a folder to save in, found a file") from error
     (folder / SCENE_FILE).unlink(missing_ok=True)
-    background = {"image": _write_map(folder, "background.exr", scene.background)}
-    background |= _write_maps(folder, "background", scene.background_maps)
-    inserted = {"mask": _write_map(folder, "object_mask.png", scene.object_mask)}
-    inserted |= _write_maps(folder, "object", scene.object_maps)
-    footprint = truth = None
+    box = covered_box(scene.object_mask)
+    jobs: dict[tuple[str, str], Callable[[], MapFile]] = {
+        ("object", "mask"): lambda: write_part(folder, "object_mask.png", scene.object_mask, box)
+    }
+    if photograph is None:
+        jobs["background", "image"] = lambda: write_map(folder, "background.exr", scene.background)
+    else:
+        jobs["background", "image"] = lambda: _copy_photograph(folder, photograph)
+    for name, value in _maps_of(scene.background_maps):
+        jobs["background", name] = partial(_write_background, folder, name, value, working_side)
+    for name, value in _maps_of(scene.object_maps):
+        jobs["object", name] = partial(write_part, folder, _file(f"object_{name}"), value, box)
     if scene.footprint_depth is not None:
-        footprint = _write_map(folder, "footprint_depth.exr", scene.footprint_depth)
+        foot = scene.footprint_depth
+        contact = covered_box(foot)
+        jobs["", "footprint"] = lambda: write_part(folder, "footprint_depth.exr", foot, contact)
     if scene.truth is not None:
-        truth = _write_map(folder, "truth.exr", scene.truth)
+        jobs["", "truth"] = partial(write_map, folder, "truth.exr", scene.truth)
+    files = dict(zip(jobs, in_parallel(lambda job: job(), jobs.values())))
+    background = {name: file for (owner, name), file in files.items() if owner == "background"}
+    inserted = {name: file for (owner, name), file in files.items() if owner == "object"}
+    footprint, truth = files.get(("", "footprint")), files.get(("", "truth"))
     geometry = None
     if scene.object_mesh is not None:
         write_mesh(folder / MESH_FILE, scene.object_mesh)
@@ -207,41 +225,34 @@ def _inside(folder: Path, name: str) -> Path:
     return path
 
 
-def _read_map(folder: Path, entry: MapFile, channels: int, size: tuple[int, int]) -> FloatArray:
-    path = _inside(folder, entry.file)
-    pixels = read_image(path)
-    if pixels.shape[:2] != size:
-        raise ShapeError(
-            f"{path}: expected {size[1]}×{size[0]} pixels as {SCENE_FILE} says, "
-            f"got {pixels.shape[1]}×{pixels.shape[0]}"
-        )
-    if channels == 1:
-        pixels = pixels if pixels.ndim == 2 else pixels[..., 0]
-    elif pixels.ndim == 3 and pixels.shape[2] >= channels:
-        pixels = pixels[..., :channels]
-    else:
-        raise ShapeError(f"{path}: expected {channels} channels, got shape {pixels.shape}")
-    with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
-        if entry.encoding == "normal":
-            pixels = np.float32(2.0) * pixels - np.float32(1.0)
-        else:
-            pixels = decode_to_linear(pixels, entry.encoding)
-        return pixels if entry.scale == 1.0 else pixels * np.float32(entry.scale)
-
-
-def _write_maps(folder: Path, owner: str, maps: Intrinsics) -> dict[str, MapFile]:
-    entries = {}
+def _maps_of(maps: Intrinsics) -> Iterator[tuple[str, FloatArray]]:
     for name in MAP_NAMES:
         value = getattr(maps, name)
         if value is not None:
-            suffix = "exr" if name in ("depth", "normal") else "png"
-            entries[name] = _write_map(folder, f"{owner}_{name}.{suffix}", value)
-    return entries
+            yield name, value
 
 
-def _write_map(folder: Path, name: str, value: FloatArray) -> MapFile:
-    write_image(folder / name, value, bits=16)
-    return MapFile(name)
+def _file(stem: str) -> str:
+    """File of a map: EXR for what is not within [0, 1]."""
+    return f"{stem}.exr" if stem.endswith(("depth", "normal")) else f"{stem}.png"
+
+
+def _write_background(
+    folder: Path, name: str, value: FloatArray, working_side: int | None
+) -> MapFile:
+    if working_side is None or max(value.shape[:2]) <= working_side:
+        return write_map(folder, _file(f"background_{name}"), value)
+    if name == "albedo":
+        return write_reduced(folder, "background_albedo.jpg", value, working_side)
+    return write_reduced(folder, _file(f"background_{name}"), value, working_side)
+
+
+def _copy_photograph(folder: Path, photograph: Path) -> MapFile:
+    name = f"background{photograph.suffix.lower()}"
+    data = read_bytes(photograph)
+    with replacing(folder / name) as unfinished:
+        unfinished.write_bytes(data)
+    return MapFile(name, encoding="srgb")
 
 
 def unpack(archive: Path, folder: Path) -> Path:

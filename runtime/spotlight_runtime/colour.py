@@ -7,9 +7,11 @@ trained on). None of these functions clips silently unless its docstring says so
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
 
@@ -22,6 +24,7 @@ __all__ = [
     "linear_to_srgb",
     "luma",
     "srgb_to_linear",
+    "stored_to_linear",
 ]
 
 Encoding = Literal["linear", "srgb", "gamma22"]
@@ -63,6 +66,34 @@ def decode_to_linear(pixels: FloatArray, encoding: Encoding) -> FloatArray:
     if encoding == "linear":
         return pixels
     return srgb_to_linear(pixels) if encoding == "srgb" else gamma22_to_linear(pixels)
+
+
+def stored_to_linear(pixels: npt.NDArray[Any], encoding: Encoding) -> FloatArray:
+    """Linear light of pixels as a file stores them.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, uint16 or float
+        Integers are fractions of their type's largest value.
+    encoding : {"linear", "srgb", "gamma22"}
+
+    Returns
+    -------
+    ndarray of float32, same shape
+        The same numbers as `decode_to_linear`, by a table where pixels are integers: without the
+        temporaries that make gigabytes of a large photograph.
+    """
+    if not np.issubdtype(pixels.dtype, np.integer):
+        return decode_to_linear(pixels.astype(np.float32), encoding)
+    top = np.iinfo(pixels.dtype).max
+    levels = np.arange(top + 1).astype(np.float32) / np.float32(top)
+    table = decode_to_linear(levels, encoding)
+    if pixels.dtype == np.uint8:
+        return np.asarray(cv2.LUT(pixels, table))
+    linear = np.empty(pixels.shape, dtype=np.float32)
+    for row, values in enumerate(pixels):
+        linear[row] = table[values]
+    return linear
 
 
 def luma(encoded: FloatArray) -> FloatArray:

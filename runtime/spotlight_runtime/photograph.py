@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
-from spotlight_runtime.colour import srgb_to_linear
+from spotlight_runtime.colour import stored_to_linear
 from spotlight_runtime.decoding import decode_pixels, read_bytes
 from spotlight_runtime.errors import ImageFileError, InvalidInputError, NonFiniteError, ShapeError
 from spotlight_runtime.headers import ImageHeader, read_header
@@ -50,11 +49,14 @@ class Photograph:
     field_of_view : float
         Horizontal, degrees.
     name : str
+    file : Path, optional
+        The sRGB-encoded file whose pixels these are, if they are nothing else.
     """
 
     radiance: FloatArray
     field_of_view: float = DEFAULT_FIELD_OF_VIEW
     name: str = "photograph"
+    file: Path | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -97,7 +99,8 @@ def read_photograph(
         data = read_bytes(path)
         pixels = decode_pixels(data, path)
         header = read_header(data)
-    radiance = _three_channels(_linear(pixels), path)
+    encoded = np.issubdtype(pixels.dtype, np.integer)
+    radiance = _three_channels(stored_to_linear(pixels, "srgb" if encoded else "linear"), path)
     if min(radiance.shape[:2]) < SMALLEST_SIDE:
         raise ShapeError(
             f"{path}: expected at least {SMALLEST_SIDE}×{SMALLEST_SIDE} pixels, "
@@ -110,7 +113,8 @@ def read_photograph(
     elif path.suffix.lower() in LINEAR_SUFFIXES:
         radiance = expose(radiance)
     width = field_of_view or field_of_view_of(header) or DEFAULT_FIELD_OF_VIEW
-    return Photograph(radiance, width, path.stem)
+    faithful = encoded and exposure is None and pixels.ndim == 3 and pixels.shape[2] >= 3
+    return Photograph(radiance, width, path.stem, path if faithful else None)
 
 
 def field_of_view_of(header: ImageHeader | None) -> float | None:
@@ -181,23 +185,12 @@ def crop_panorama(panorama: Photograph, yaw: float, pitch: float, camera: Camera
     darkest = look(cv2.erode(source, near), cv2.INTER_NEAREST)
     brightest = look(cv2.dilate(source, near), cv2.INTER_NEAREST)
     radiance = np.clip(look(source, cv2.INTER_CUBIC), darkest, brightest)
-    return replace(panorama, radiance=radiance, field_of_view=camera.field_of_view)
+    return Photograph(radiance, camera.field_of_view, panorama.name)
 
 
 def horizon_of(camera: Camera, pitch: float) -> float:
     """Row of the horizon in a view pitched by so many degrees, as a fraction of the height."""
     return 0.5 + camera.focal * math.tan(math.radians(pitch)) / camera.height
-
-
-def _linear(pixels: npt.NDArray[Any]) -> FloatArray:
-    """Linear light of sRGB-encoded integers by a table; floats are linear already."""
-    if not np.issubdtype(pixels.dtype, np.integer):
-        return pixels.astype(np.float32, copy=False)
-    levels = np.iinfo(pixels.dtype).max + 1
-    table = srgb_to_linear(np.arange(levels, dtype=np.float32) / np.float32(levels - 1))
-    if pixels.dtype == np.uint8:
-        return np.asarray(cv2.LUT(pixels, table))
-    return np.take(table, pixels)
 
 
 def _three_channels(image: FloatArray, path: Path) -> FloatArray:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.backdrop import CAMERA_HEIGHT, build_backdrop, combine_maps, read_map
+from spotlight_runtime.bundle import save_bundle
 from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from spotlight_runtime.compose import compose as compose_scene
 from spotlight_runtime.compose import draft
@@ -33,8 +34,11 @@ from spotlight_runtime.sessions import Network
 __all__ = ["compose"]
 
 
-ESTIMATOR_GRAPH = "intrinsics"
-CROP = "640x480"
+ESTIMATOR_GRAPH: Final = "intrinsics"
+ESTIMATED_SIDE: Final = 1024
+"""Pixels of the longer side that estimated maps are stored with: what an estimator sees, and the
+picture's edges around it."""
+CROP: Final = "640x480"
 
 
 def compose(
@@ -150,13 +154,12 @@ def compose(
         if path is not None
     }
     thing = _object(item, variant, mask)
+    unknown = not {"albedo", "normal", "depth"} <= set(given)
     estimated = None
-    if isinstance(thing, Cutout) or not {"albedo", "normal", "depth"} <= set(given):
+    if unknown or isinstance(thing, Cutout):
         network = _estimator(estimator)
-        if not {"albedo", "normal", "depth"} <= set(given):
-            estimated = estimate_intrinsics(network, photograph)
-        if isinstance(thing, Cutout):
-            thing = estimate_cutout(network, thing)
+        estimated = estimate_intrinsics(network, photograph) if unknown else None
+        thing = estimate_cutout(network, thing) if isinstance(thing, Cutout) else thing
     maps = combine_maps(given, estimated)
     if camera_height is None and depth is None:
         camera_height = CAMERA_HEIGHT
@@ -168,7 +171,12 @@ def compose(
         camera_height=camera_height,
     )
     scene = compose_scene(backdrop, thing, placement, occluded=occlusion)
-    scene.save(output)
+    save_bundle(
+        scene,
+        output,
+        photograph=photograph.file,
+        working_side=None if estimated is None else ESTIMATED_SIDE,
+    )
     write_image(output / "preview.png" if preview is None else preview, draft(scene))
     covered = float(scene.object_mask.mean())
     print(f"{output}: the object covers {covered:.1%} of the picture", file=sys.stderr)

@@ -38,6 +38,11 @@ class ObjectMesh:
                 f"object_mesh vertices: {bad} of {len(self.vertices)} are NaN or infinite; "
                 "repair or re-export the model"
             )
+        if not np.ptp(self.vertices, axis=0).any():
+            raise InvalidInputError(
+                "object_mesh vertices: expected a body, got all of them in one point; check the "
+                "model's scale"
+            )
         low, high = int(self.faces.min()), int(self.faces.max())
         if low < 0 or high >= len(self.vertices):
             raise InvalidInputError(

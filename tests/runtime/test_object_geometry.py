@@ -194,6 +194,7 @@ def test_faces_beyond_any_vertex_do_not_wrap_round(bundle):
         (MESH.vertices[:, :2], MESH.faces, ShapeError, "shape"),
         (np.where(MESH.vertices > 0.3, np.nan, MESH.vertices), MESH.faces, NonFiniteError, "NaN"),
         (MESH.vertices, MESH.faces - 1, InvalidInputError, "from -1"),
+        (np.ones((9, 3), np.float32), MESH.faces % 9, InvalidInputError, "in one point"),
         (MESH.vertices[:-1], MESH.faces, InvalidInputError, "expected rows of"),
     ],
 )

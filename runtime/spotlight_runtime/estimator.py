@@ -24,7 +24,7 @@ from spotlight_runtime.scene import Intrinsics
 from spotlight_runtime.sessions import Network
 from spotlight_runtime.upsampling import magnify_rows
 
-__all__ = ["estimate_intrinsics", "estimate_small", "follow_picture", "shrink_picture"]
+__all__ = ["DETAIL_SIDE", "estimate_intrinsics", "estimate_small", "follow_picture", "resized"]
 
 
 WORKING_SIDE: Final = 384
@@ -39,6 +39,9 @@ DARKEST: Final = np.float32(1e-3)
 """Linear light and albedo below which their quotient says nothing."""
 NEAREST: Final = 1e-3
 """Least depth, in the network's units."""
+DETAIL_SIDE: Final = 1024
+"""Pixels of the longer side at which normals and depth follow the picture's edges: what a network
+guesses from a third of that has no finer ones."""
 TINY: Final = np.float32(1e-6)
 STRIP_PIXELS: Final = 1 << 19
 
@@ -65,31 +68,8 @@ def estimate_intrinsics(network: Network, photograph: Photograph) -> Intrinsics:
         If the network says NaN or infinity.
     """
     small = estimate_small(network, photograph)
-    radiance = photograph.radiance
-    albedo = np.empty_like(radiance)
-    normal = np.empty_like(radiance)
-    depth = np.empty(photograph.size, dtype=np.float32)
-    assert small.normal is not None, "estimate_small gives all three"
-    assert small.depth is not None, "estimate_small gives all three"
-    picture = shrink_picture(radiance, small.albedo.shape[:2])
-    shading = np.maximum(picture, DARKEST) / np.maximum(small.albedo, DARKEST)
-    wanted = np.concatenate([np.log(shading), small.normal, np.log(small.depth)[..., None]], axis=2)
-    enlarged = follow_picture(wanted, picture, radiance)
-
-    def fill(rows: slice) -> None:
-        maps = enlarged(rows)
-        np.divide(radiance[rows], np.exp(maps[..., :3]), out=albedo[rows])
-        # Where the picture is black it says nothing, and the network's guess is as good as 0.
-        np.clip(albedo[rows], 0.0, 1.0, out=albedo[rows])
-        vectors = maps[..., 3:6]
-        length = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
-        np.divide(vectors, np.maximum(length, TINY)[..., None], out=normal[rows])
-        np.exp(maps[..., 6], out=depth[rows])
-
-    height, width = photograph.size
-    step = max(1, STRIP_PIXELS // width)
-    in_parallel(fill, [slice(top, min(top + step, height)) for top in range(0, height, step)])
-    return Intrinsics(albedo=albedo, normal=normal, depth=depth)
+    normal, depth = _geometry(small, photograph)
+    return Intrinsics(albedo=_albedo(small, photograph), normal=normal, depth=depth)
 
 
 def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
@@ -103,7 +83,7 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
     height, width = photograph.size
     factor = min(1.0, WORKING_SIDE / max(height, width))
     high, wide = (max(MULTIPLE, round(s * factor / MULTIPLE) * MULTIPLE) for s in (height, width))
-    picture = linear_to_srgb(shrink_picture(photograph.radiance, (high, wide)))
+    picture = linear_to_srgb(resized(photograph.radiance, (high, wide)))
     image = np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
     maps = np.asarray(network(image=image)["maps"], dtype=np.float32)
     if not np.isfinite(maps).all():
@@ -117,6 +97,45 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
         albedo=np.clip(planes[..., :3], 0.0, 1.0),
         normal=planes[..., 3:6] / np.maximum(length, TINY),
         depth=np.maximum(planes[..., 6], np.float32(NEAREST)),
+    )
+
+
+def _albedo(small: Intrinsics, photograph: Photograph) -> FloatArray:
+    """Divide the photograph by its enlarged shading."""
+    radiance = photograph.radiance
+    picture = resized(radiance, small.albedo.shape[:2])
+    shading = np.maximum(picture, DARKEST) / np.maximum(small.albedo, DARKEST)
+    enlarged = follow_picture(np.log(shading), picture, radiance)
+    albedo = np.empty_like(radiance)
+
+    def fill(rows: slice) -> None:
+        np.divide(radiance[rows], np.exp(enlarged(rows)), out=albedo[rows])
+        # Where the picture is black it says nothing, and the network's guess is as good as 0.
+        np.clip(albedo[rows], 0.0, 1.0, out=albedo[rows])
+
+    height, width = photograph.size
+    step = max(1, STRIP_PIXELS // width)
+    in_parallel(fill, [slice(top, min(top + step, height)) for top in range(0, height, step)])
+    return albedo
+
+
+def _geometry(small: Intrinsics, photograph: Photograph) -> tuple[FloatArray, FloatArray]:
+    """Normals and depth: to the picture's edges at `DETAIL_SIDE`, and smoothly from there."""
+    assert small.normal is not None, "estimate_small gives all three"
+    assert small.depth is not None, "estimate_small gives all three"
+    height, width = photograph.size
+    factor = min(1.0, DETAIL_SIDE / max(height, width))
+    size = (max(1, round(height * factor)), max(1, round(width * factor)))
+    detailed = resized(photograph.radiance, size)
+    picture = resized(photograph.radiance, small.albedo.shape[:2])
+    wanted = np.concatenate([small.normal, np.log(small.depth)[..., None]], axis=2)
+    maps = follow_picture(wanted, picture, detailed)(slice(0, size[0]))
+    length = np.linalg.norm(maps[..., :3], axis=2, keepdims=True)
+    normal = maps[..., :3] / np.maximum(length, TINY)
+    depth = np.exp(maps[..., 3])
+    return (
+        resized(np.ascontiguousarray(normal), photograph.size),
+        resized(depth, photograph.size),
     )
 
 
@@ -164,7 +183,7 @@ def _box(array: FloatArray) -> FloatArray:
     return np.asarray(cv2.blur(array, (side, side), borderType=cv2.BORDER_REPLICATE))
 
 
-def shrink_picture(image: FloatArray, size: tuple[int, int]) -> FloatArray:
+def resized(image: FloatArray, size: tuple[int, ...]) -> FloatArray:
     """Resize an image of shape (H, W, C) to (h, w, C), averaging where it shrinks."""
     if image.shape[:2] == size:
         return image

@@ -38,6 +38,7 @@ __all__ = [
     "read_image",
     "write_exr_layers",
     "write_image",
+    "write_jpeg",
 ]
 
 
@@ -147,6 +148,14 @@ def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: 
         key = cv2.IMWRITE_JPEG_QUALITY if suffix in _JPEG else cv2.IMWRITE_WEBP_QUALITY
         pixels = swap_red_blue(_quantise(image, 8, path))
         data = _encode(suffix, pixels, [int(key), quality], path)
+    with _replacing(path) as partial:
+        partial.write_bytes(data)
+
+
+def write_jpeg(path: Path, pixels: npt.NDArray[np.uint8], quality: int = 95) -> None:
+    """Write encoded RGB pixels, shape (H, W, 3), as they are: a large picture without floats."""
+    options = [int(cv2.IMWRITE_JPEG_QUALITY), quality]
+    data = _encode(".jpg", swap_red_blue(pixels), options, path)
     with _replacing(path) as partial:
         partial.write_bytes(data)
 

@@ -17,7 +17,7 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import linear_to_srgb, stored_to_linear
 from spotlight_runtime.decoding import decode_pixels, read_bytes
 from spotlight_runtime.errors import ShapeError
-from spotlight_runtime.images import read_image, write_image
+from spotlight_runtime.images import read_image, write_image, write_jpeg
 from spotlight_runtime.parallel import in_parallel
 
 __all__ = ["MapFile", "covered_box", "read_map_file", "write_map", "write_part", "write_reduced"]
@@ -127,14 +127,14 @@ def write_reduced(folder: Path, name: str, value: FloatArray, side: int) -> MapF
     A JPEG keeps its size, and is compressed instead: for albedo, whose texture counts.
     """
     if name.endswith(".jpg"):
-        encoded = np.empty_like(value)
+        pixels = np.empty(value.shape, dtype=np.uint8)
 
         def fill(top: int) -> None:
             rows = np.s_[top : top + STRIP_ROWS]
-            encoded[rows] = linear_to_srgb(value[rows])
+            pixels[rows] = np.rint(linear_to_srgb(value[rows]) * np.float32(255.0))
 
         in_parallel(fill, range(0, len(value), STRIP_ROWS))
-        write_image(folder / name, encoded)
+        write_jpeg(folder / name, pixels)
         return MapFile(name, encoding="srgb")
     height, width = value.shape[:2]
     factor = side / max(height, width)

@@ -16,7 +16,7 @@ from spotlight_runtime.compose import compose as compose_scene
 from spotlight_runtime.compose import draft
 from spotlight_runtime.cutout import Cutout, estimate_cutout, read_cutout
 from spotlight_runtime.errors import InvalidInputError, MissingMapError
-from spotlight_runtime.estimator import estimate_intrinsics
+from spotlight_runtime.estimator import DETAIL_SIDE, estimate_intrinsics
 from spotlight_runtime.images import check_target, write_image
 from spotlight_runtime.models import open_networks, resolve_model
 from spotlight_runtime.photograph import (
@@ -35,9 +35,6 @@ __all__ = ["compose"]
 
 
 ESTIMATOR_GRAPH: Final = "intrinsics"
-ESTIMATED_SIDE: Final = 1024
-"""Pixels of the longer side that estimated maps are stored with: what an estimator sees, and the
-picture's edges around it."""
 CROP: Final = "640x480"
 
 
@@ -175,7 +172,7 @@ def compose(
         scene,
         output,
         photograph=photograph.file,
-        working_side=None if estimated is None else ESTIMATED_SIDE,
+        working_side=None if estimated is None else DETAIL_SIDE,
     )
     write_image(output / "preview.png" if preview is None else preview, draft(scene))
     covered = float(scene.object_mask.mean())

@@ -119,7 +119,8 @@ def _probe(cone: Cone, occluder: Occluder, phases: _Pixels | None) -> npt.NDArra
 def _hidden(cone: Cone, obstacle: Obstacle, hard: bool) -> npt.NDArray[np.uint8]:
     """The same for the background in the way, or turned away from the light."""
     blocked = []
-    for probe in probes(hard):
+    # Fewer than of the object: this is the shadow of a coarse surface, and decides on less.
+    for probe in list(probes(hard))[:: 1 if hard else 2]:
         origins, directions = cone.rays(probe)
         away = cone.irradiance(probe, directions) <= 0.0
         blocked.append(away | obstacle.hides(cone, origins, directions))
@@ -153,23 +154,25 @@ def _fill(
     mixed: _Pixels,
     sample: Callable[[_Pixels], FloatArray],
 ) -> None:
-    """Write the partial shadow of ``pixels[mixed]`` into ``shadow``; ``sample`` takes its rows."""
+    """Write the partial shadow of ``pixels[mixed]`` into ``shadow``; ``sample`` takes its rows.
+
+    From a coarse lattice to finer ones, each for what the one before was too coarse for.
+    """
     step = 1
     while step < _COARSEST and len(mixed) > _SAMPLED_PIXELS * step**2:
         step *= 2
-    if step == 1:
-        shadow.flat[pixels[mixed]] = sample(mixed)
-        return
-    rows, columns = np.divmod(pixels[mixed], shadow.shape[1])
-    on_lattice = (rows % step == 0) & (columns % step == 0)
     # What is not sampled yet is unknown, so that no cell takes it for light.
     shadow.flat[pixels[mixed]] = np.nan
-    shadow.flat[pixels[mixed[on_lattice]]] = sample(mixed[on_lattice])
-    between = np.flatnonzero(~on_lattice)
-    values, smooth = _interpolate(shadow, inverse_depth, rows[between], columns[between], step)
-    shadow.flat[pixels[mixed[between[smooth]]]] = values[smooth]
-    rest = mixed[between[~smooth]]
-    shadow.flat[pixels[rest]] = sample(rest)
+    while step > 1:
+        rows, columns = np.divmod(pixels[mixed], shadow.shape[1])
+        on_lattice = (rows % step == 0) & (columns % step == 0)
+        shadow.flat[pixels[mixed[on_lattice]]] = sample(mixed[on_lattice])
+        between = np.flatnonzero(~on_lattice)
+        values, smooth = _interpolate(shadow, inverse_depth, rows[between], columns[between], step)
+        shadow.flat[pixels[mixed[between[smooth]]]] = values[smooth]
+        mixed = mixed[between[~smooth]]
+        step //= 2
+    shadow.flat[pixels[mixed]] = sample(mixed)
 
 
 def _interpolate(

@@ -3,7 +3,7 @@ VENV ?= .venv
 EDGE_VENV ?= .venv-edge
 BIN := $(VENV)/bin
 
-.PHONY: help setup test lint types unit edge test-full format clean
+.PHONY: help setup demo test lint types unit edge test-full format clean
 
 help:           ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -14,6 +14,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	python3 -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench]'
 	touch $@
+
+demo:           ## relight a scene that comes along from eight directions: demo.png
+	test -x $(BIN)/spotlight || python3 -m venv $(VENV)
+	test -x $(BIN)/spotlight || $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[scene]'
+	$(BIN)/spotlight demo -o demo.png
 
 test: lint types unit edge ## all that must pass before a change lands
 

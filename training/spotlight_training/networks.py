@@ -32,6 +32,10 @@ GAMMA: Final = 2.2
 KNOWN_VARIANCE: Final = 0.01
 """s² of the latents where the shading is known: what the known picture leaves open."""
 
+HIDDEN_VARIANCE: Final = 0.05
+"""The same where it is hidden, to begin with. Samples scatter by as much as the network does not
+yet see coming, so a short training wants it small: 0.3 left every latent its own colour."""
+
 POSTERIOR_DEVIATION: Final = 0.1
 """Of each latent, in its own standard deviations: what the decoder learns to tolerate."""
 
@@ -208,10 +212,12 @@ class ConditionEncoder(nn.Module):
 class Denoiser(nn.Module):
     """U-Net over (noisy latents, condition), predicting v.
 
-    What the condition tells at once is not left to learn. Were x₀ = p + s·n about the known picture
-    p, with s near 0 where shading is known and near 1 where it is hidden, the best prediction of v
-    would be ``v₀ = −σp + ασ(1−s²)/(α²s²+σ²)·(z − αp)``. The U-Net adds ``r + g·p``: where shading
-    is hidden, light multiplies what is seen under white light.
+    The U-Net sees all of it and says what the picture is, ``m = p + r + g·p``: the known picture p,
+    and where shading is hidden light that multiplies what is seen under white light. How much of
+    the noisy latents' difference from that is the picture's is not left to learn: were the picture
+    m + s·n, the best prediction would be ``x₀ = m + αs²/(α²s²+σ²)·(z − αm)``, which is
+    ``v = −σm + ασ(1−s²)/(α²s²+σ²)·(z − αm)``. s² is near 0 where shading is known, and a learned
+    number for each channel where it is hidden.
 
     Parameters
     ----------
@@ -235,6 +241,7 @@ class Denoiser(nn.Module):
     ) -> None:
         super().__init__()
         self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
+        self.log_variance = nn.Parameter(torch.full((latent,), math.log(HIDDEN_VARIANCE)))
         self.latent, self.widths = latent, widths
         embedding = 4 * widths[0]
         self.embed = nn.Sequential(
@@ -279,19 +286,15 @@ class Denoiser(nn.Module):
                 x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
             else:
                 x = stage(_double(x, like=skips[-1]))
-        r, g = self.leave(x).chunk(2, dim=1)
-        known = condition[:, : self.latent]
-        return (
-            self._prior(latents, timestep, known, condition[:, self.latent, None]) + r + g * known
-        )
-
-    def _prior(self, z: Tensor, timestep: Tensor, p: Tensor, hidden: Tensor) -> Tensor:
-        """v₀; in float32, where 1 − ᾱ is still exact."""
-        level = self.alphas_cumprod[timestep].float()[:, None, None, None]
+        r, g = self.leave(x).float().chunk(2, dim=1)
+        known = condition[:, : self.latent].float()
+        hidden = condition[:, self.latent, None].float()
+        mean = known + r + g * known
+        variance = KNOWN_VARIANCE + hidden * self.log_variance.exp()[None, :, None, None]
+        level = self.alphas_cumprod[timestep][:, None, None, None]
         alpha, sigma = level.sqrt(), (1 - level).sqrt()
-        variance = KNOWN_VARIANCE + hidden.float()
         share = alpha * sigma * (1 - variance) / (level * variance + 1 - level)
-        return share * (z.float() - alpha * p.float()) - sigma * p.float()
+        return share * (latents.float() - alpha * mean) - sigma * mean
 
 
 class _Stage(nn.Module):
@@ -312,7 +315,12 @@ def _sinusoid(timestep: Tensor, channels: int) -> Tensor:
 
 
 class IntrinsicsNet(nn.Module):
-    """Photograph in [0, 1] → albedo in [0, 1], unit normals, positive depth (B, 7, H, W)."""
+    """Photograph in [0, 1] → albedo in [0, 1], unit normals, positive depth (B, 7, H, W).
+
+    The network says how albedo differs from the photograph's own linear colour, in logits: texture
+    and hue are there from the first step. (Asked for the albedo itself it was grey after eight
+    thousand samples.)
+    """
 
     def __init__(self, widths: tuple[int, ...] = (64, 128, 192, 256)) -> None:
         super().__init__()
@@ -358,6 +366,6 @@ class IntrinsicsNet(nn.Module):
             skip = skips.pop()
             x = blocks(torch.cat([grow(_double(x, like=skip)), skip], dim=1))
         raw = self.fold(self.leave(x))
-        albedo = raw[:, :3].sigmoid()
+        albedo = (raw[:, :3] + torch.logit(image.clamp(0.0, 1.0) ** GAMMA, eps=1e-2)).sigmoid()
         normal = functional.normalize(raw[:, 3:6], dim=1, eps=1e-4)
         return torch.cat([albedo, normal, raw[:, 6:].clamp(-8.0, 8.0).exp()], dim=1)

@@ -202,6 +202,8 @@ def _parity(
         for number, size in enumerate(CHECKED_LATENTS):
             timestep = (last, last // 2, 0)[number]
             inputs = _inputs(contract, spec, size, 1 + number % 2, timestep, rng)
+            if "condition" in inputs:  # its channels have ranges, which maps alone give
+                inputs |= torch_network("condition_encoder")(conditioning=inputs["condition"])
             got, expected = networks[contract.name](**inputs), expected_of(**inputs)
             errors = [float(np.abs(got[key] - expected[key]).max()) for key in expected]
             scales = [float(np.abs(expected[key]).max()) for key in expected]
@@ -249,9 +251,7 @@ def _inputs(
             (batch, spec.latent.channels, *size), dtype=np.float32
         ),
         "timestep": lambda: np.array([timestep], np.int64),
-        "condition": lambda: rng.standard_normal(
-            (batch, int(contract.inputs[-1].shape[1]), *size), dtype=np.float32
-        ),
+        "condition": lambda: made_up_maps(spec, size, batch, rng),
     }
     return {tensor.name: values[tensor.name]() for tensor in contract.inputs}
 

@@ -25,6 +25,8 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
     │   └── ProviderError                    the execution provider asked for is not in use
     ├── NumericalError (ArithmeticError)     NaN or infinity arose; names the stage and the step
     └── MissingExtraError (ImportError)      an optional package is not installed
+
+``ShadowWarning`` (UserWarning) is no error: it says that next to nothing of a shadow is seen.
 """
 
 from __future__ import annotations

@@ -10,6 +10,8 @@ BUILTINS = {
     "InvalidInputError": ValueError,
     "ShapeError": ValueError,
     "NonFiniteError": ValueError,
+    "GroundError": ValueError,
+    "LightError": ValueError,
     "DtypeError": TypeError,
     "MissingMapError": LookupError,
     "ImageFileError": OSError,
@@ -37,5 +39,5 @@ def test_class_is_of_the_tree_and_of_its_builtin(name, builtin):
 
 def test_nothing_is_left_out():
     defined = {n for n, c in vars(errors).items() if inspect.isclass(c)}
-    assert defined == {"SpotLightError", *BUILTINS} == set(errors.__all__)
+    assert defined == {"SpotLightError", "ShadowWarning", *BUILTINS} == set(errors.__all__)
     assert all(name in errors.__doc__ for name in defined)

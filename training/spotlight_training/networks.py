@@ -123,6 +123,7 @@ class VAE(nn.Module):
             nn.PixelShuffle(2),
         )
         nn.init.zeros_(self.high[-2].weight)
+        nn.init.zeros_(self.high[-2].bias)
 
     def encode(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and log variance, (B, latent, H/8, W/8)."""

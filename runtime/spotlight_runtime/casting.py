@@ -88,7 +88,9 @@ def _magnified(shadow: FloatArray, small_mask: FloatArray, mask: FloatArray) -> 
     seen = np.clip(np.float32(1.0) - small_mask, 0.0, 1.0)
     whole = np.divide(shadow, seen, out=np.zeros_like(shadow), where=seen > LEAST_SEEN)
     weight = np.where(seen > LEAST_SEEN, seen, np.float32(0.0))
-    filled = fit_guided(whole, weight, shadow[..., None][..., :0]).coefficients[..., 0]
+    nothing = shadow[..., None][..., :0]
+    fit = fit_guided(whole, weight, nothing, ridge=(0.0,), usual=(0.0,))
+    filled = fit.coefficients[..., 0]
     filled = np.where(seen == 1.0, shadow, np.clip(filled, 0.0, 1.0))
     height, width = mask.shape
     large = np.zeros((height, width), dtype=np.float32)

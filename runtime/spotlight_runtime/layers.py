@@ -21,6 +21,7 @@ from spotlight_runtime.canvas import Canvas
 from spotlight_runtime.colour import decode_to_linear, encode_linear
 from spotlight_runtime.composite import colour_balance, compose_picture, shadow_ratio
 from spotlight_runtime.conditioning import SHADOW_THRESHOLD, dilate, masked_region
+from spotlight_runtime.object_light import divided, fit_light, light_rows
 from spotlight_runtime.sampler import Fidelity
 from spotlight_runtime.scene import Scene
 from spotlight_runtime.upsampling import GuidedFit, fit_guided
@@ -37,12 +38,8 @@ FULL_CHANGE: Final = 0.3
 """Guiding shadow from which the predicted ratio counts in full; it counts from the threshold of
 the shading mask on, and between the two it sets in smoothly, for a photograph shows a step there.
 """
-DARKEST_ALBEDO: Final = 0.1
-"""Shading is (light + this) / (albedo + this), so that on black a highlight is added, not
-multiplied up; 0.1 beats 0.02, 0.05 and 0.2 on path-traced truths with a metal among them."""
-THINNEST: Final = 0.25
-"""Coverage below which a small pixel says nothing about the object."""
-BARELY_COVERED: Final = 1e-4
+RATIO_RIDGE: Final = 1e-2
+"""Keeps slopes small where the guiding shadow hardly varies."""
 
 
 class Layer(Protocol):
@@ -85,8 +82,8 @@ class WindowLayer:
         Guiding shadow at the photograph's scale.
     ratio : GuidedFit
         Ratio image of the encoded background, guided by the guiding shadow.
-    shading : tuple of GuidedFit
-        Of the object in linear light, by channel, guided by its normals and albedo.
+    light : tuple of GuidedFit
+        From the object, linear, by channel; guided by its albedo times normals, and its albedo.
     everywhere : bool
         Whether the ratio counts in the whole window, as in the public release, or in the
         shadow's region only.
@@ -97,7 +94,7 @@ class WindowLayer:
     window: Window
     shadow: FloatArray
     ratio: GuidedFit
-    shading: tuple[GuidedFit, ...]
+    light: tuple[GuidedFit, ...]
     everywhere: bool
 
     def rows(self, top: int, bottom: int) -> tuple[FloatArray, BoolArray]:
@@ -120,16 +117,10 @@ class WindowLayer:
 
     def _object(self, top: int, bottom: int, mask: FloatArray) -> FloatArray:
         """Light from the object, linear and premultiplied."""
-        strip = np.s_[top:bottom]
-        albedo = self.window.crop(self.canvas.albedo)[strip]
-        normal = self.window.crop(self.canvas.normal)[strip]
+        albedo = self.window.crop(self.canvas.albedo)[top:bottom]
+        normal = self.window.crop(self.canvas.normal)[top:bottom]
         size = (self.window.height, self.window.width)
-        dark = np.float32(DARKEST_ALBEDO) * mask
-        light = np.empty(albedo.shape, dtype=np.float32)
-        for channel, fit in enumerate(self.shading):
-            guide = np.concatenate([normal, albedo[..., channel, None]], axis=2)
-            shading = _divided(fit.rows(guide, top, bottom, size, mask), mask)
-            light[..., channel] = np.maximum(shading, 0.0) * (albedo[..., channel] + dark) - dark
+        light = light_rows(self.light, albedo, normal, mask, top, bottom, size)
         return np.clip(light, 0.0, mask[..., None])
 
     def _shadow_beside_object(self, top: int, bottom: int) -> FloatArray:
@@ -248,9 +239,12 @@ def window_layer(
     mask = view.object_mask
     encoded = np.clip(encode_linear(view.background, spec.image_encoding), 0.0, 1.0)
     visible = np.float32(1.0) - mask
-    guide = _divided(view_shadow, visible)[..., None]
+    guide = divided(view_shadow, visible)[..., None]
     around = np.float32(1.0) - dilate(mask)
-    ratio = fit_guided(shadow_ratio(predicted, no_shadow), around * around, guide)
+    seen = around * around
+    values = shadow_ratio(predicted, no_shadow)
+    mean = float((seen * values).sum()) / float(seen.sum()) if seen.any() else 1.0
+    ratio = fit_guided(values, seen, guide, ridge=(RATIO_RIDGE, 0.0), usual=(0.0, mean))
     darkened = ratio.rows(guide, 0, len(mask), mask.shape, np.ones_like(mask))
     behind = encoded * np.clip(darkened, 0.0, 1.0)[..., None]
     balance = colour_balance(encoded, no_shadow, dilate(mask))
@@ -262,39 +256,6 @@ def window_layer(
         window=window,
         shadow=shadow,
         ratio=ratio,
-        shading=_fit_shading(view, np.maximum(own, 0.0)),
+        light=fit_light(view, np.maximum(own, 0.0)),
         everywhere=fidelity == "release",
-    )
-
-
-def _fit_shading(view: Scene, own: FloatArray) -> tuple[GuidedFit, ...]:
-    """Shading of each channel, from the object's own light, linear and premultiplied.
-
-    Each pixel counts by its albedo squared, as in a fit of albedo · shading to light: there a dark
-    pixel says little about the shading. It counts alike in all channels, or colours would part.
-    """
-    mask = view.object_mask
-    light = own / np.maximum(mask, np.float32(THINNEST))[..., None]
-    albedo = np.clip(_divided(view.object_maps.albedo, mask), 0.0, 1.0)
-    normal = _divided(Canvas.of(view).normal, mask)
-    dark = np.float32(DARKEST_ALBEDO)
-    counted = np.where(mask >= THINNEST, mask * mask, np.float32(0.0))
-    counted = counted * (albedo.mean(axis=2) + dark) ** 2
-    shading = (light + dark) / (albedo + dark)
-    return tuple(
-        fit_guided(
-            shading[..., channel],
-            counted,
-            np.concatenate([normal, albedo[..., channel, None]], axis=2),
-        )
-        for channel in range(3)
-    )
-
-
-def _divided(premultiplied: FloatArray, cover: FloatArray) -> FloatArray:
-    """Undo premultiplication; 0 where nothing is covered."""
-    cover = cover if premultiplied.ndim == 2 else cover[..., None]
-    cover = np.broadcast_to(cover, premultiplied.shape)
-    return np.divide(
-        premultiplied, cover, out=np.zeros_like(premultiplied), where=cover > BARELY_COVERED
     )

@@ -1,16 +1,17 @@
 """Guided upsampling: a small picture follows the edges of maps known at full resolution.
 
-What is brought back from the model's scale is never pixels but factors: the shadow's ratio image
-and the object's shading. Both are locally linear in something the photograph's scale knows: the
-ratio in the guiding shadow, shading in the surface normal (Lambert's law *is* linear in it). So
-around each small pixel the factor is fitted to its guide by weighted least squares, and the fit is
-evaluated on the large guide (He and Sun 2015, "Fast guided filter", with weights). What the fit
-leaves over, highlights and shadows inside, is smoothed by the least that hides the small grid and
-added back.
+What is brought back from the model's scale is never pixels but how they depend on something the
+photograph's scale knows: the shadow's ratio image on the guiding shadow; the object's light on its
+albedo and normals, where Lambert's law is ``albedo · (a · normal + b)`` and a highlight adds a
+constant. Around each small pixel these dependences are fitted by weighted least squares, and the
+fit is evaluated on the large maps (He and Sun 2015, "Fast guided filter", with weights). What a fit
+leaves over, shadows inside for one, is smoothed by the least that hides the small grid and added
+back.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,15 +24,11 @@ __all__ = ["GuidedFit", "fit_guided", "magnify_rows"]
 
 
 FIT_SIGMA: Final = 1.2
-"""Reach of a fit, in small pixels: the narrowest that determines four numbers at an edge. Of 0.8,
-1.2 and 2.0 the best on path-traced truths shrunk four times and brought back (28.5 dB on the object
-where bicubic upsampling has 25.2)."""
+"""Reach of a fit, in small pixels: the narrowest that determines five numbers at an edge."""
 LEFTOVER_SIGMA: Final = 0.6
-"""Smoothing of what the fit leaves over, in small pixels; 0.6 beats 0.4 and 0.8 there."""
-RIDGE: Final = 1e-2
-"""Keeps slopes small where the guide hardly varies; guides vary by about 1."""
+"""Smoothing of what the fit leaves over, in small pixels."""
 PRIOR: Final = 1e-6
-"""Share of the mean in a fit: it decides where nothing else is known, deep inside a hole."""
+"""Weight of what is usual in a fit: it decides where nothing is known, deep inside a hole."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +38,7 @@ class GuidedFit:
     Attributes
     ----------
     coefficients : ndarray of float32, shape (h, w, G + 1)
-        Slope for each channel of the guide; last, the constant together with what the fit left
-        over.
+        Slope for each channel of the guide; last, the constant.
     """
 
     coefficients: FloatArray
@@ -74,7 +70,15 @@ class GuidedFit:
         return total
 
 
-def fit_guided(values: FloatArray, weights: FloatArray, guide: FloatArray) -> GuidedFit:
+def fit_guided(
+    values: FloatArray,
+    weights: FloatArray,
+    guide: FloatArray,
+    *,
+    ridge: Sequence[float],
+    usual: Sequence[float],
+    leftover: FloatArray | None = None,
+) -> GuidedFit:
     """Fit a small picture to its guide, locally.
 
     Parameters
@@ -84,41 +88,42 @@ def fit_guided(values: FloatArray, weights: FloatArray, guide: FloatArray) -> Gu
         How much each value counts, ≥ 0; where it is 0, values come from around.
     guide : ndarray of float32, shape (h, w, G)
         The guide at the same size; G may be 0.
+    ridge : sequence of G + 1 float
+        Penalty on the square of each coefficient, the constant's last.
+    usual : sequence of G + 1 float
+        Coefficients where nothing is known.
+    leftover : ndarray of float32, shape (h, w, G + 1), optional
+        How much of what the fit leaves over goes to each coefficient; times guide and one, they
+        add up to one. By default all of it goes to the constant.
 
     Returns
     -------
     GuidedFit
     """
-    count = guide.shape[2]
-    basis = np.concatenate([guide, np.ones_like(guide[..., :1])], axis=2) if count else None
-    if basis is None:
-        basis = np.ones((*values.shape, 1))
-    basis, weights = basis.astype(np.float64), weights.astype(np.float64)
-    total = float(weights.sum())
-    mean = float((weights * values).sum()) / total if total > 0.0 else 1.0
-    prior = PRIOR * (total / weights.size if total > 0.0 else 1.0)
-    products = np.empty((*values.shape, count + 1, count + 1))
-    moments = np.empty((*values.shape, count + 1))
-    for i in range(count + 1):
-        for j in range(i, count + 1):
+    count = guide.shape[2] + 1
+    basis = np.ones((*values.shape, count))
+    basis[..., :-1] = guide
+    weights = weights.astype(np.float64)
+    prior = PRIOR * (float(weights.mean()) or 1.0)
+    near = _spread(weights, FIT_SIGMA) + prior
+    products = np.empty((*values.shape, count, count))
+    moments = np.empty((*values.shape, count))
+    for i in range(count):
+        for j in range(i, count):
             smooth = _spread(weights * basis[..., i] * basis[..., j], FIT_SIGMA)
             products[..., i, j] = products[..., j, i] = smooth
-        moments[..., i] = _spread(weights * basis[..., i] * values, FIT_SIGMA)
-    near = products[..., -1, -1] + prior
-    slopes = np.arange(count)
-    products[..., slopes, slopes] += RIDGE * near[..., None]
-    products[..., -1, -1] = near
-    moments[..., -1] += prior * mean
+        products[..., i, i] += ridge[i] * near + prior
+        moments[..., i] = _spread(weights * basis[..., i] * values, FIT_SIGMA) + prior * usual[i]
     solved = np.linalg.solve(products, moments[..., None])[..., 0]
-    far = np.full(count + 1, 0.0)
-    far[-1] = mean
-    for i in range(count + 1):  # neighbouring fits agree on one by their weights
-        together = _spread(weights * solved[..., i], FIT_SIGMA) + prior * far[i]
-        solved[..., i] = together / near
-    left = values - np.einsum("hwi,hwi->hw", solved, basis)
-    solved[..., -1] += _spread(weights * left, LEFTOVER_SIGMA) / (
-        _spread(weights, LEFTOVER_SIGMA) + prior
-    )
+    for i in range(count):  # neighbouring fits agree on one by their weights
+        solved[..., i] = (_spread(weights * solved[..., i], FIT_SIGMA) + prior * usual[i]) / near
+    left = weights * (values - np.einsum("hwi,hwi->hw", solved, basis))
+    close = _spread(weights, LEFTOVER_SIGMA) + prior
+    if leftover is None:
+        solved[..., -1] += _spread(left, LEFTOVER_SIGMA) / close
+    else:
+        for i in range(count):
+            solved[..., i] += _spread(left * leftover[..., i], LEFTOVER_SIGMA) / close
     return GuidedFit(solved.astype(np.float32))
 
 

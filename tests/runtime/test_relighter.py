@@ -401,10 +401,13 @@ def test_report_is_json_with_everything_but_the_pixels(relighter, scene, shadow)
     assert all(seconds >= 0.0 for seconds in report["seconds"].values())
 
 
-def test_platform_without_resource_usage_reports_no_memory(monkeypatch):
+def test_platform_without_resource_usage_reports_no_memory(monkeypatch, tmp_path):
+    nothing = tmp_path / "status"
     assert peak_memory_bytes() > 1e6
+    assert peak_memory_bytes(nothing) > 1e6
+    nothing.write_text("Name: python\n")
     monkeypatch.setitem(sys.modules, "resource", None)
-    assert peak_memory_bytes() is None
+    assert peak_memory_bytes(nothing) is None
 
 
 def test_clean_backbone_is_not_denoised(options, scene, shadow, tmp_path):

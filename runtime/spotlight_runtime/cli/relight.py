@@ -246,16 +246,17 @@ def relight(
     loaded = Scene.load(scene)
     lighting = choose_lighting(scene, loaded, asked)
     each, name, mask = sweep is not None, loaded.name, loaded.object_mask
+    captions = lighting.captions
     with notices():
         if preview:
             pictures = sketches(loaded, lighting, each)
         else:
             relighter = Relighter.load(model, threads=threads, low_memory=low_memory)
             task = relighter.prepare(loaded, lighting.guides, lighting.negative, options)
-            del loaded  # what the networks need next, the scene's maps need no more
+            del loaded, lighting  # gigabytes that have served, of a large photograph
             pictures = relit(relighter, task, each)
         if each:
-            facts, summary = write_sheet(pictures, mask, lighting.captions, output, animation)
+            facts, summary = write_sheet(pictures, mask, captions, output, animation)
         else:
             (picture,) = pictures
             write_image(output, picture.image)

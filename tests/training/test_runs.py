@@ -51,7 +51,7 @@ def packed(tmp_path_factory):
 def trained(packed, tmp_path_factory):
     """All three trainings, a few steps each."""
     house = tmp_path_factory.mktemp("runs")
-    few = TrainingOptions(steps=2, batch=1, sample_every=2, warmup=1)
+    few = TrainingOptions(steps=2, batch=1, sample_every=2, warmup=1, samples=1)
     runs.train_vae(packed, packed, house / "vae", few, latent=4, width=8, side=64)
     runs.train_renderer(packed, packed, house / "vae", house / "renderer", few, width=64, side=64)
     runs.train_intrinsics(packed, packed, house / "intrinsics", few, side=64)
@@ -109,7 +109,7 @@ def test_latents_are_standardised_principal_components():
 
 def test_a_killed_run_goes_on_where_it_stopped(packed, tmp_path):
     def options(steps):
-        return TrainingOptions(steps=steps, batch=1, sample_every=1, warmup=1)
+        return TrainingOptions(steps=steps, batch=1, sample_every=1, warmup=1, samples=1)
 
     for steps in (1, 2):
         runs.train_vae(packed, packed, tmp_path / "run", options(steps), latent=4, width=8, side=64)

@@ -50,6 +50,8 @@ class TrainingOptions:
         Threads that prepare batches.
     sample_every : int
         Steps between sample sheets and checkpoints.
+    samples : int
+        Pictures on a sheet.
     """
 
     steps: int = 20_000
@@ -62,6 +64,7 @@ class TrainingOptions:
     device: str = "cpu"
     threads: int = 1
     sample_every: int = 500
+    samples: int = 6
 
 
 def train(

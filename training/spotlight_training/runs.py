@@ -35,7 +35,6 @@ from spotlight_training.objectives import (
 
 __all__ = ["load_renderer", "load_vae", "train_intrinsics", "train_renderer", "train_vae"]
 
-SHEET_COLUMNS = 6
 MODEL_FILE = "model.safetensors"
 
 
@@ -68,7 +67,7 @@ def train_vae(
     start : Path, optional
         Run whose weights a new run starts from.
     """
-    samples = _held_out(PictureData(Packed(held_out)))
+    samples = _held_out(PictureData(Packed(held_out)), options.samples)
     network = VAE(latent, width)
     if start is None:
         network.fit_patches(_patches(PictureData(Packed(data))))
@@ -118,7 +117,7 @@ def train_renderer(
         Run whose weights a new run starts from.
     """
     autoencoder, spec = load_vae(vae)
-    samples = _held_out(RendererData(Packed(held_out), spec))
+    samples = _held_out(RendererData(Packed(held_out), spec), options.samples)
     network = _renderer(autoencoder, spec, width)
     if start is not None:
         _load(network, start / MODEL_FILE)
@@ -147,7 +146,7 @@ def train_intrinsics(
     start: Path | None = None,
 ) -> None:
     """Train the estimator of albedo, normals and depth; arguments as `train_vae`."""
-    samples = _held_out(IntrinsicsData(Packed(held_out)))
+    samples = _held_out(IntrinsicsData(Packed(held_out)), options.samples)
     network = IntrinsicsNet()
     if start is not None:
         _load(network, start / MODEL_FILE)
@@ -202,9 +201,9 @@ def _vae(shape: dict[str, Any], weights: Path | None) -> VAE:
     return vae.eval()
 
 
-def _held_out(draw: Any) -> list[dict[str, Any]]:
+def _held_out(draw: Any, count: int) -> list[dict[str, Any]]:
     """The same few samples for every sheet of a run."""
-    return [draw(np.random.default_rng([7, i])) for i in range(SHEET_COLUMNS)]
+    return [draw(np.random.default_rng([7, i])) for i in range(count)]
 
 
 def _patches(draw: PictureData, count: int = 192) -> torch.Tensor:

@@ -22,6 +22,7 @@ from spotlight_runtime.errors import InvalidInputError
         *(("steps", v) for v in (0, -1, 2.5, "20", True, np.nan)),
         *(("fidelity", v) for v in ("Paper", "", None, 1)),
         *(("solver", v) for v in ("euler", "", None, "DDIM")),
+        *(("window", v) for v in ("Auto", "", None, 512)),
     ],
 )
 def test_option_outside_its_domain_is_named(name, value):
@@ -39,6 +40,7 @@ def test_option_outside_its_domain_is_named(name, value):
         *(("solver", v) for v in ("ddim", "dpmpp_2m", "unipc")),
         *(("fidelity", v) for v in ("paper", "release")),
         *(("denoise", v) for v in (None, True, False)),
+        *(("window", v) for v in ("auto", "frame")),
     ],
 )
 def test_options_within_their_domain_can_be_reported(name, value):

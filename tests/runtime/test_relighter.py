@@ -10,7 +10,7 @@ import pytest
 from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
-from spotlight_runtime import Intrinsics, Relighter, RelightOptions, Scene
+from spotlight_runtime import Intrinsics, Relighter, RelightOptions, Scene, Window
 from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
 from spotlight_runtime.conditioning import masked_region
 from spotlight_runtime.errors import (
@@ -22,6 +22,7 @@ from spotlight_runtime.errors import (
     NumericalError,
     ShapeError,
 )
+from spotlight_runtime.options import OptionChanges
 from spotlight_runtime.result import peak_memory_bytes
 
 SIZES = [(64, 96), (61, 93), (8, 8), (7, 5), (1, 1), (3, 40)]
@@ -430,6 +431,61 @@ def test_caller_may_take_its_time_between_steps(relighter, options, scene, shado
             break
         time.sleep(0.3)
     assert timings["relight"] + timings["no shadow"] < 4 * 0.3
+
+
+def test_options_by_name(relighter, options, scene, shadow):
+    named = relighter.relight(scene, shadow, denoise=False, steps=2, gamma=5.0)
+    given = relighter.relight(scene, shadow, options=replace(options, steps=2, gamma=5.0))
+    assert named.image.tobytes() == given.image.tobytes()
+    assert named.options == given.options
+    both = relighter.relight(scene, shadow, options=replace(options, steps=2), gamma=5.0)
+    assert both.options == given.options
+
+
+def test_every_option_has_its_name():
+    assert list(OptionChanges.__annotations__) == list(RelightOptions.__dataclass_fields__)
+    with pytest.raises(TypeError, match="gama"):
+        RelightOptions.of(None, {"gama": 3.0})
+
+
+def test_preview_of_the_last_step_is_the_prediction(relighter, options, scene, shadow):
+    run = relighter.run(scene, shadow, None, replace(options, solver="dpmpp_2m"))
+    previews = {}
+    while True:
+        try:
+            progress = next(run)
+        except StopIteration as stop:
+            result = stop.value
+            break
+        preview = relighter.preview_of(progress)
+        assert preview.shape == (64, 96, 3)
+        assert 0.0 <= preview.min() <= preview.max() <= 1.0
+        previews[progress.stage] = preview
+    # This solver's last step lands on what it predicts.
+    np.testing.assert_allclose(previews["relight"], result.prediction, atol=1e-3)
+    np.testing.assert_allclose(previews["no shadow"], result.no_shadow, atol=1e-3)
+
+
+def test_progress_says_which_light_and_where(relighter, options, shadow, scene):
+    lights = [shadow, shadow]
+    seen = [
+        (p.stage, p.light, p.lights, p.window)
+        for p in relighter.run(scene, lights, options=replace(options, steps=1))
+    ]
+    window = Window.whole((64, 96))
+    assert seen == [
+        ("relight", 0, 2, window),
+        ("relight", 1, 2, window),
+        ("no shadow", 0, 2, window),
+    ]
+
+
+def test_results_come_as_they_are_done(relighter, options, shadow, scene):
+    made = list(relighter.run_each(scene, [shadow, shadow], options=replace(options, steps=1)))
+    kinds = [type(each).__name__ for each in made]
+    assert kinds == ["Progress", "Progress", "RelightResult", "Progress", "RelightResult"]
+    assert made[2].image.tobytes() == made[4].image.tobytes()
+    assert made[2].guides[0].positive is shadow
 
 
 def test_scene_and_options_are_values():

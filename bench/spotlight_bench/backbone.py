@@ -1,28 +1,32 @@
-"""A backbone under evaluation, and what all methods make pictures of and with."""
+"""A backbone under evaluation, and a whole picture's way from latents into the photograph."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from spotlight_runtime import RelightOptions, Step, passes
+import numpy as np
+
+from spotlight_bench.remembered import Memory
+from spotlight_runtime import Relighter, RelightOptions, Scene, Step
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.mixing import Mix, put_back
+from spotlight_runtime.codec import decode_latents
+from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_srgb
+from spotlight_runtime.composite import compose_picture
+from spotlight_runtime.conditioning import composite_maps
+from spotlight_runtime.denoise import denoise, denoiser_available
 from spotlight_runtime.models import open_networks, resolve_model
-from spotlight_runtime.preparation import Prepared
-from spotlight_runtime.result import Stopwatch
-from spotlight_runtime.sampler import Fidelity
-from spotlight_runtime.scene import Scene
 from spotlight_runtime.sessions import Network
 from spotlight_spec import BackboneSpec
 
-__all__ = ["Backbone", "compose", "develop", "last"]
+__all__ = ["Backbone", "compose_everywhere", "decode", "last"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Backbone:
     """What the methods run on.
 
@@ -33,11 +37,14 @@ class Backbone:
         Plain functions do.
     facts : dict
         What reports say about the model.
+    memory : Memory
+        Of what the networks answered.
     """
 
     spec: BackboneSpec
     networks: Mapping[str, Network]
     facts: dict[str, Any] = field(default_factory=dict)
+    memory: Memory = field(default_factory=Memory)
 
     @classmethod
     def load(cls, model: str | Path, threads: int | None = None) -> Backbone:
@@ -52,6 +59,16 @@ class Backbone:
         networks = open_networks(folder, threads=threads)
         return cls(folder.manifest.backbone, networks, folder.summary())
 
+    @cached_property
+    def remembering(self) -> dict[str, Network]:
+        """The networks, asked but once for the same."""
+        return self.memory.networks(self.networks)
+
+    @cached_property
+    def relighter(self) -> Relighter:
+        """The runtime on these networks."""
+        return Relighter(self.spec, self.remembering, model=self.facts)
+
 
 def last(trajectory: Iterator[Step]) -> FloatArray:
     """Final latents of the positive branch, shape (1, C, h, w)."""
@@ -59,38 +76,47 @@ def last(trajectory: Iterator[Step]) -> FloatArray:
     return step.latents[:1]
 
 
-def develop(
-    backbone: Backbone, view: Scene, latents: FloatArray, options: RelightOptions
+def decode(
+    backbone: Backbone, latents: FloatArray, padded: Scene, options: RelightOptions
 ) -> FloatArray:
-    """From final latents to a picture in the backbone's encoding, denoised as a relight would."""
-    denoised = passes.denoising(backbone.spec, options) == "on"
-    spec, networks = backbone.spec, backbone.networks
-    return passes.develop(networks, spec, view, latents, denoised, Stopwatch())
-
-
-def compose(
-    backbone: Backbone,
-    prepared: Prepared,
-    predicted: FloatArray,
-    no_shadow: FloatArray,
-    fidelity: Fidelity,
-) -> FloatArray:
-    """Put a prediction back into the photograph as a relight does.
-
-    Parameters
-    ----------
-    backbone : Backbone
-    prepared : Prepared
-        Of one light.
-    predicted, no_shadow : ndarray of float32, shape (h, w, 3)
-        As `develop` returns them.
-    fidelity : {"paper", "release"}
-        The photograph may darken in the shadow's region only, or everywhere.
+    """Picture of latents, denoised where the backbone wants it, as the runtime makes it.
 
     Returns
     -------
     ndarray of float32, shape (H, W, 3)
-        sRGB-encoded, in [0, 1].
+        In the backbone's encoding.
     """
-    layer = passes.layer(backbone.spec, prepared, 0, predicted, no_shadow, fidelity)
-    return put_back(prepared.scene, prepared.window, [layer], Mix.of(prepared.guides))
+    picture = decode_latents(backbone.remembering, backbone.spec, latents)
+    wanted = backbone.spec.noisy_renders and denoiser_available()
+    if not (wanted if options.denoise is None else options.denoise):
+        return picture
+    encoding = backbone.spec.image_encoding
+    maps = composite_maps(padded, tuple(n for n in ("albedo", "normal") if padded.has_map(n)))
+    clean = denoise(decode_to_linear(picture, encoding), maps.get("albedo"), maps.get("normal"))
+    return encode_linear(clean, encoding)
+
+
+def compose_everywhere(
+    backbone: Backbone, padded: Scene, predicted: FloatArray, no_shadow: FloatArray
+) -> FloatArray:
+    """Background preservation (method §5) of a whole picture that may darken everywhere.
+
+    Parameters
+    ----------
+    backbone : Backbone
+    padded : Scene
+    predicted, no_shadow : ndarray of float32, shape (H, W, 3)
+        As `decode` returns them.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        sRGB-encoded; what is untouched is the photograph's, exactly.
+    """
+    encoding = backbone.spec.image_encoding
+    photograph = np.clip(encode_linear(padded.background, encoding), 0.0, 1.0)
+    composed, untouched = compose_picture(
+        photograph, predicted, no_shadow, padded.object_mask, None
+    )
+    picture = linear_to_srgb(decode_to_linear(composed, encoding))
+    return np.where(untouched[..., None], linear_to_srgb(padded.background), picture)

@@ -28,7 +28,7 @@ from spotlight_bench.dataset import (
 from spotlight_bench.errors import DataError, MethodError
 from spotlight_bench.methods import Method
 from spotlight_bench.metrics import background_change, isolated, regions, scores
-from spotlight_bench.pictures import Studio, foreign_file
+from spotlight_bench.pictures import Made, Studio, foreign_file
 from spotlight_bench.results import Result, ResultStore
 from spotlight_runtime import RelightOptions, write_image
 from spotlight_runtime.arrays import FloatArray
@@ -212,18 +212,19 @@ class _Session:
     def results(self, name: str, methods: Sequence[Method]) -> list[Result]:
         """Pictures of one direction by several methods, scored together."""
         (direction,) = (d for d in self._test.directions if d.name == name)
-        self._studio.prepare(methods, direction)
-        pictures, seconds = [], []
+        self._studio.prepare(methods)
+        made, seconds = [], []
         for method in methods:
             start = time.perf_counter()
-            pictures.append(_eight_bit(self._studio.picture(method, direction)))
+            picture = self._studio.picture(method, direction)
             seconds.append(time.perf_counter() - start)
+            made.append(replace(picture, image=_eight_bit(picture.image)))
             if self._keep or direction.truth is None:
                 path = picture_file(self._output, method.name, self._test.name, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
-                write_image(path, pictures[-1])
-        found = self._scores(pictures, direction)
-        return [self._result(direction, *one) for one in zip(methods, pictures, seconds, found)]
+                write_image(path, made[-1].image)
+        found = self._scores([one.image for one in made], direction)
+        return [self._result(direction, *one) for one in zip(methods, made, seconds, found)]
 
     def _scores(self, pictures: Sequence[FloatArray], direction: Direction) -> list[Scores]:
         truth = direction.truth
@@ -243,7 +244,7 @@ class _Session:
         self,
         direction: Direction,
         method: Method,
-        picture: FloatArray,
+        made: Made,
         seconds: float,
         found: Scores,
     ) -> Result:
@@ -255,14 +256,14 @@ class _Session:
             how=method.how,
             scores=found,
             background_change=background_change(
-                picture, self._photograph, scene.object_mask, direction.shadow
+                made.image, self._photograph, scene.object_mask, direction.shadow
             ),
-            evaluations=self._studio.evaluations(method),
+            evaluations=made.evaluations,
             seconds=round(seconds, 4),
         )
         if direction.name == DOMINANT or not self._shadings:
             return result
-        shown = following.shading(picture, scene)
+        shown = following.shading(made.image, scene)
         return replace(
             result,
             following=tuple(following.distances(shown, self._shadings)),

@@ -53,11 +53,6 @@ class Method:
             return self.kind
         return f"spotlight gamma={self.gamma:g} beta={self.beta:g} negative={self.negative}"
 
-    @property
-    def branches(self) -> int:
-        """Branches of the loop: at γ = 1 the negative one changes nothing and is left out."""
-        return 1 if self.gamma == 1.0 else 2
-
 
 OURS: Final = "spotlight"
 _METHODS: Final = (

@@ -1,35 +1,25 @@
-"""Pictures of one scene by every method, computing once what methods share."""
+"""Pictures of one scene by every method."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from spotlight_bench.backbone import Backbone, compose, develop, last
+from spotlight_bench.backbone import Backbone
 from spotlight_bench.dataset import Direction, TestScene
 from spotlight_bench.errors import DataError, MethodError
 from spotlight_bench.methods import Method
-from spotlight_bench.sdedit import sdedit_latents, steps_again
-from spotlight_runtime import (
-    GuidingShadow,
-    LoopInputs,
-    RelightOptions,
-    Scene,
-    Window,
-    passes,
-    read_image,
-)
+from spotlight_bench.sdedit import sdedit_picture, steps_again
+from spotlight_runtime import GuidingShadow, RelightOptions, RelightResult, Scene, read_image
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.colour import linear_to_srgb
 from spotlight_runtime.conditioning import over
-from spotlight_runtime.noise import gaussian
-from spotlight_runtime.preparation import Prepared, loop_inputs, prepare_window
 
-__all__ = ["Studio", "foreign_file", "pasted_object"]
+__all__ = ["Made", "Studio", "foreign_file", "pasted_object"]
 
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 _WITHOUT_NETWORK: Final = ("pasted", "folder")
@@ -37,36 +27,47 @@ DARKEST_ALBEDO: Final = 1e-3
 """A background whose mean albedo is below this says nothing about its light."""
 
 
-class Studio:
-    """Makes the pictures of one scene; SpotLight's are those of `Relighter.relight`.
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """A picture, and what it took.
 
-    The renderer's picture without a shadow is made once for all methods and directions that share
-    a window (all of them, where the photograph is no larger than the backbone was trained at), the
-    loop's inputs once for all γ and β of a direction.
+    Attributes
+    ----------
+    image : ndarray of float32, shape (H, W, 3)
+        sRGB-encoded, in [0, 1].
+    evaluations : int
+        Of the denoiser, without those of the picture without a shadow.
+    """
+
+    image: FloatArray
+    evaluations: int = 0
+
+
+class Studio:
+    """Makes the pictures of one scene.
 
     Parameters
     ----------
     backbone : Backbone
+        It forgets what it remembers of the scene before.
     test : TestScene
     options : RelightOptions
         Seed, steps, solver, fidelity, window and denoising; γ and β are the method's.
     """
 
     def __init__(self, backbone: Backbone, test: TestScene, options: RelightOptions) -> None:
+        backbone.memory.clear()
         self._backbone = backbone
         self._test = test
         self._options = options
-        self._plain: dict[Window, FloatArray] = {}
-        self._guided: tuple[tuple[str, str], LoopInputs] | None = None
 
-    def prepare(self, methods: Sequence[Method], direction: Direction) -> None:
+    def prepare(self, methods: Sequence[Method]) -> None:
         """Make what these methods share, so that it is not counted to the first of them."""
-        for method in methods:
-            if method.kind not in _WITHOUT_NETWORK:
-                self._no_shadow(self._prepared(method, direction))
+        if any(method.kind not in _WITHOUT_NETWORK for method in methods):
+            self._without_control()
 
-    def picture(self, method: Method, direction: Direction) -> FloatArray:
-        """Picture of a method: sRGB-encoded, in [0, 1], float32, shape (H, W, 3).
+    def picture(self, method: Method, direction: Direction) -> Made:
+        """Make the picture of a method.
 
         Raises
         ------
@@ -77,87 +78,37 @@ class Studio:
         SpotLightError
             As a relight does.
         """
+        scene = self._test.scene
         if method.kind == "folder":
-            return _foreign_picture(method, self._test, direction)
+            return Made(_foreign_picture(method, self._test, direction))
         if method.kind == "pasted":
-            return pasted_object(self._test.scene)
-        prepared, fidelity = self._prepared(method, direction), self._options.fidelity
-        no_shadow = self._no_shadow(prepared)
+            return Made(pasted_object(scene))
         if method.kind == "no-control":
-            return compose(self._backbone, _shadowless(prepared), no_shadow, no_shadow, fidelity)
+            return Made(self._without_control().image)
         if method.kind == "sdedit":
-            shadow, _ = prepared.shadows[0]
-            latents = sdedit_latents(self._backbone, prepared.view, shadow, self._options)
-            # ZeroComp darkens the photograph where the shading was hidden: here, everywhere.
-            fidelity = "release"
-        else:
-            latents = self._spotlight(method, direction)
-        predicted = develop(self._backbone, prepared.view, latents, self._options)
-        return compose(self._backbone, prepared, predicted, no_shadow, fidelity)
+            image = sdedit_picture(self._backbone, scene, direction.shadow, self._options)
+            steps = self._options.steps_for(self._backbone.spec)
+            return Made(image, steps + steps_again(steps))
+        result = self._spotlight(method, direction)
+        assert result.options.steps is not None  # a result's options leave nothing to default
+        return Made(result.image, result.evaluations - result.options.steps)
 
-    def evaluations(self, method: Method) -> int:
-        """Denoiser evaluations of one picture, without those of the shared one."""
-        steps = self._options.steps_for(self._backbone.spec)
-        if method.kind == "sdedit":
-            return steps + steps_again(steps)
-        return steps * method.branches if method.kind == "spotlight" else 0
-
-    def _prepared(self, method: Method, direction: Direction) -> Prepared:
+    def _spotlight(self, method: Method, direction: Direction) -> RelightResult:
         negative = direction.opposite if method.negative == "opposite" else None
-        if method.kind == "spotlight" and method.negative == "opposite" and negative is None:
+        if method.negative == "opposite" and negative is None:
             raise DataError(
                 f"{self._test.folder}: expected shadow_negative_{direction.name}.png for method "
                 f"{method.name}, found none; add it or evaluate --methods negative-none"
             )
-        guide = GuidingShadow(direction.shadow, negative)
-        guide.check(self._test.scene.size)
-        options = self._options
-        return prepare_window(self._backbone.spec, self._test.scene, [guide], options.window)
-
-    def _no_shadow(self, prepared: Prepared) -> FloatArray:
-        if prepared.window not in self._plain:
-            spec, view, options = self._backbone.spec, prepared.view, self._options
-            latent = spec.latent
-            shape = (1, latent.channels, *(side // latent.downscale for side in view.size))
-            noise = gaussian(options.seed, "initial", shape)
-            trajectory = passes.plain_pass(self._backbone.networks, spec, view, noise, options)
-            self._plain[prepared.window] = develop(self._backbone, view, last(trajectory), options)
-        return self._plain[prepared.window]
-
-    def _spotlight(self, method: Method, direction: Direction) -> FloatArray:
-        inputs = self._inputs(method, direction)
-        if method.branches == 1:
-            inputs = _one_branch(inputs)
         options = replace(self._options, gamma=method.gamma, beta=method.beta)
-        spec, networks = self._backbone.spec, self._backbone.networks
-        return last(passes.guided_pass(networks, spec, inputs, options))
+        guide = GuidingShadow(direction.shadow, negative)
+        return self._backbone.relighter.relight(self._test.scene, guide, options=options)
 
-    def _inputs(self, method: Method, direction: Direction) -> LoopInputs:
-        wanted = (direction.name, method.negative)
-        if self._guided is None or self._guided[0] != wanted:
-            prepared = self._prepared(method, direction)
-            networks, spec = self._backbone.networks, self._backbone.spec
-            shadows = prepared.shadows[0]
-            made = loop_inputs(networks, spec, prepared.view, shadows, self._options)
-            self._guided = (wanted, made)
-        return self._guided[1]
-
-
-def _one_branch(inputs: LoopInputs) -> LoopInputs:
-    """The positive branch alone: no guidance."""
-    return replace(
-        inputs,
-        conditioning=inputs.conditioning[:1],
-        composite_latents=inputs.composite_latents[:1],
-        shadow_mask=inputs.shadow_mask[:1],
-    )
-
-
-def _shadowless(prepared: Prepared) -> Prepared:
-    """The same window without a guiding shadow, so that nothing darkens the photograph."""
-    guide = GuidingShadow(np.zeros_like(prepared.guides[0].positive))
-    none = np.zeros_like(prepared.view.object_mask)
-    return replace(prepared, guides=(guide,), shadows=((none, none),))
+    def _without_control(self) -> RelightResult:
+        """The renderer alone: without a shadow, both branches are the picture without one."""
+        none = GuidingShadow(np.zeros(self._test.scene.size, np.float32))
+        options = replace(self._options, gamma=1.0, beta=0.0)
+        return self._backbone.relighter.relight(self._test.scene, none, options=options)
 
 
 def pasted_object(scene: Scene) -> FloatArray:

@@ -15,7 +15,7 @@ from spotlight_bench.methods import BUILT_IN, Method
 from spotlight_bench.pictures import Studio, foreign_file, pasted_object
 from spotlight_bench.sdedit import hidden_everywhere, shadowed_shading, steps_again
 from spotlight_runtime import Relighter, RelightOptions, write_image
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
 from spotlight_runtime.conditioning import conditioning_array, dilate
 
 OPTIONS = RelightOptions(steps=2, denoise=False)
@@ -58,7 +58,7 @@ def test_scene(tmp_path_factory):
 def test_spotlight_is_the_runtimes_relight_bit_for_bit(backbone, test_scene, name, fidelity):
     options = replace(OPTIONS, fidelity=fidelity)
     method, direction = BUILT_IN[name], test_scene.directions[0]
-    picture = Studio(backbone, test_scene, options).picture(method, direction)
+    picture = Studio(backbone, test_scene, options).picture(method, direction).image
     relighter = Relighter(backbone.spec, backbone.networks)
     negative = None if method.negative == "none" else direction.opposite
     wanted = replace(options, gamma=method.gamma, beta=method.beta)
@@ -77,9 +77,9 @@ def test_a_photograph_larger_than_the_backbone_is_relit_in_the_runtimes_window(b
     for direction in directions:
         result = relighter.relight(scene, direction.shadow, direction.opposite, OPTIONS)
         assert not result.window.native
-        picture = studio.picture(BUILT_IN["spotlight"], direction)
+        picture = studio.picture(BUILT_IN["spotlight"], direction).image
         np.testing.assert_array_equal(picture, result.image)
-        untouched = studio.picture(BUILT_IN["no-control"], direction)
+        untouched = studio.picture(BUILT_IN["no-control"], direction).image
         outside = dilate(scene.object_mask) == 0.0
         far = cv2.dilate(1.0 - outside.astype(np.float32), np.ones((17, 17))) == 0.0
         np.testing.assert_array_equal(untouched[far], linear_to_srgb(scene.background)[far])
@@ -87,57 +87,86 @@ def test_a_photograph_larger_than_the_backbone_is_relit_in_the_runtimes_window(b
 
 def test_no_control_is_the_runtimes_picture_without_a_shadow(backbone, test_scene):
     scene, direction = test_scene.scene, test_scene.directions[0]
-    picture = Studio(backbone, test_scene, OPTIONS).picture(BUILT_IN["no-control"], direction)
+    picture = Studio(backbone, test_scene, OPTIONS).picture(BUILT_IN["no-control"], direction).image
     result = Relighter(backbone.spec, backbone.networks).relight(
         scene, direction.shadow, None, OPTIONS
     )
     outside = dilate(scene.object_mask) == 0.0
     np.testing.assert_array_equal(picture[outside], linear_to_srgb(scene.background)[outside])
     inside = scene.object_mask == 1.0
-    ratio = picture[inside].mean(axis=0) / result.no_shadow[inside].mean(axis=0)
-    assert np.isfinite(ratio).all()
-    assert np.corrcoef(picture[inside].ravel(), result.no_shadow[inside].ravel())[0, 1] > 0.95
+    # The same colours but for one factor a channel, the colour balance.
+    lit, plain = (srgb_to_linear(p[inside]) for p in (picture, result.no_shadow))
+    # Where neither end of the range clips them.
+    free = (plain > 0.01).all(axis=1) & (lit < 0.99).all(axis=1)
+    assert free.sum() > 20
+    balance = (lit / np.maximum(plain, 0.01))[free]
+    np.testing.assert_allclose(balance, np.broadcast_to(balance[:1], balance.shape), rtol=2e-3)
 
 
 def test_what_methods_share_is_computed_once(backbone, test_scene, calls):
     studio = Studio(backbone, test_scene, OPTIONS)
-    methods = [BUILT_IN[name] for name in ("no-control", "spotlight", "gamma-1", "gamma-7")]
-    studio.prepare(methods, test_scene.directions[0])
-    assert calls["denoiser"] == 2
+    methods = [BUILT_IN[name] for name in ("no-control", "spotlight", "gamma-1", "negative-none")]
+    studio.prepare(methods)
+    assert calls == {"vae_encoder": 1, "condition_encoder": 1, "denoiser": 2, "vae_decoder": 1}
     for direction in test_scene.directions:
         before = Counter(calls)
         for method in methods:
             studio.picture(method, direction)
         made = Counter(calls) - before
-        assert made["denoiser"] == sum(studio.evaluations(m) for m in methods) == 4 + 2 + 4
+        # Three times two branches of two steps, but the first step knows no method yet.
+        assert made["denoiser"] <= 3 * 4 - 2 - 2
         assert made["vae_decoder"] == 3
-        assert made["vae_encoder"] == 2
+    before = Counter(calls)
+    again = studio.picture(methods[1], test_scene.directions[1])
+    assert Counter(calls) == before
+    assert again.evaluations == 4
 
 
 def test_pasted_and_foreign_pictures_need_no_network(backbone, test_scene, calls):
     studio = Studio(backbone, test_scene, OPTIONS)
-    studio.prepare([BUILT_IN["pasted"]], test_scene.directions[0])
+    studio.prepare([BUILT_IN["pasted"]])
     studio.picture(BUILT_IN["pasted"], test_scene.directions[0])
     assert not calls
+
+
+def test_another_scene_forgets_the_last(backbone, test_scene, calls):
+    for _ in range(2):
+        Studio(backbone, test_scene, OPTIONS).prepare([BUILT_IN["no-control"]])
+    assert calls["denoiser"] == 4
 
 
 def test_sdedit_follows_the_shadow_and_costs_half_as_much_again(backbone, test_scene, calls):
     studio = Studio(backbone, test_scene, OPTIONS)
     method = BUILT_IN["sdedit"]
-    studio.prepare([method], test_scene.directions[0])
+    studio.prepare([method])
     calls.clear()
     one, other = (studio.picture(method, direction) for direction in test_scene.directions)
-    assert calls["denoiser"] == 2 * studio.evaluations(method) == 2 * 3
-    assert not np.array_equal(one, other)
+    assert calls["denoiser"] == one.evaluations + other.evaluations == 2 * 3
+    assert not np.array_equal(one.image, other.image)
     again = Studio(backbone, test_scene, OPTIONS).picture(method, test_scene.directions[0])
-    np.testing.assert_array_equal(one, again)
+    np.testing.assert_array_equal(one.image, again.image)
     assert [steps_again(steps) for steps in (1, 2, 5, 20)] == [1, 1, 2, 10]
+
+
+def test_sdedit_without_a_shadow_and_without_noise_again_is_no_control(
+    backbone, test_scene, monkeypatch
+):
+    """The loop's two ends meet: nothing of the baseline's plumbing shows where it does nothing."""
+    from spotlight_bench import sdedit
+
+    monkeypatch.setattr(sdedit, "_again", lambda backbone, latents, *_: latents)
+    scene = test_scene.scene
+    none = np.zeros(scene.size, np.float32)
+    picture = sdedit.sdedit_picture(backbone, scene, none, OPTIONS)
+    studio = Studio(backbone, test_scene, OPTIONS)
+    wanted = studio.picture(BUILT_IN["no-control"], test_scene.directions[0]).image
+    np.testing.assert_array_equal(picture, wanted)
 
 
 def test_sdedit_puts_the_shadow_into_the_known_shading(backbone):
     scene = make_scene(64, 64)
     spec, shadow = backbone.spec, 0.5 * np.ones((64, 64), np.float32)
-    plain = conditioning_array(spec, scene, np.zeros_like(shadow))
+    plain = conditioning_array(spec, scene, np.zeros_like(shadow))[None]
     shaded = shadowed_shading(spec, plain, shadow)
     blind = hidden_everywhere(spec, plain)
     names = [entry.name for entry in spec.maps for _ in range(entry.channels)]
@@ -145,15 +174,15 @@ def test_sdedit_puts_the_shadow_into_the_known_shading(backbone):
     for channel, name in enumerate(names):
         if name == "shading":
             np.testing.assert_allclose(
-                shaded[channel][known], 0.5 * plain[channel][known], rtol=1e-6, atol=1e-5
+                shaded[0, channel][known], 0.5 * plain[0, channel][known], rtol=1e-6, atol=1e-5
             )
-            np.testing.assert_array_equal(shaded[channel][~known], -1.0)
+            np.testing.assert_array_equal(shaded[0, channel][~known], -1.0)
         else:
-            np.testing.assert_array_equal(shaded[channel], plain[channel])
+            np.testing.assert_array_equal(shaded[0, channel], plain[0, channel])
         if name in ("shading", "mask"):
-            np.testing.assert_array_equal(blind[channel], -1.0)
+            np.testing.assert_array_equal(blind[0, channel], -1.0)
         else:
-            np.testing.assert_array_equal(blind[channel], plain[channel])
+            np.testing.assert_array_equal(blind[0, channel], plain[0, channel])
     assert {"shading", "mask"} < set(names)
 
 
@@ -177,7 +206,7 @@ def test_a_missing_opposite_shadow_is_named(backbone, test_scene):
     studio = Studio(backbone, test_scene, OPTIONS)
     with pytest.raises(DataError, match=r"shadow_negative_0000\.png.*negative-none"):
         studio.picture(BUILT_IN["spotlight"], alone)
-    assert studio.picture(BUILT_IN["negative-none"], alone).shape == (45, 61, 3)
+    assert studio.picture(BUILT_IN["negative-none"], alone).image.shape == (45, 61, 3)
 
 
 @pytest.mark.parametrize("name", ["{scene}/0000.png", "{scene}_0000.jpg", "{scene}/0000.exr"])
@@ -189,7 +218,7 @@ def test_another_methods_picture_is_read_as_srgb(backbone, test_scene, tmp_path,
     linear = np.full((45, 61, 3), 0.25, np.float32)
     write_image(path, linear if path.suffix == ".exr" else linear_to_srgb(linear))
     assert foreign_file(method, test_scene.name, "0000") == path
-    picture = Studio(backbone, test_scene, OPTIONS).picture(method, test_scene.directions[0])
+    picture = Studio(backbone, test_scene, OPTIONS).picture(method, test_scene.directions[0]).image
     np.testing.assert_allclose(picture, linear_to_srgb(linear), atol=3e-3)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from spotlight_spec import BackboneSpec
 __all__ = ["Prepared", "loop_inputs", "prepare", "prepare_window"]
 
 Pair = tuple[FloatArray, FloatArray]
+
+USUAL_ROUGHNESS: Final = np.float32(0.7)
+"""Of rooms, streets and most things in them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +91,7 @@ def prepare_window(
     """
     drawn = [s for guide in guides for s in (guide.positive, guide.negative) if s is not None]
     window = choose_window(spec.size, spec.latent.downscale, scene.object_mask, drawn, mode)
-    small = look(scene, window)
+    small = _with_usual_materials(look(scene, window))
 
     def pair(guide: GuidingShadow) -> tuple[Scene, Pair]:
         negative = guide.negative
@@ -195,6 +199,23 @@ def loop_inputs(
         initial_noise=noise,
         step_noise=step_noise,
     )
+
+
+def _with_usual_materials(view: Scene) -> Scene:
+    """The scene, where it does not say what things are made of, of matt ones that are no metal.
+
+    So scenes of the published test set, most of which come without these maps of their background,
+    can be shown to a backbone that asks for them.
+    """
+    filled = []
+    for maps, cover in (
+        (view.background_maps, np.ones_like(view.object_mask)),
+        (view.object_maps, view.object_mask),
+    ):
+        usual = {"roughness": USUAL_ROUGHNESS * cover, "metallic": np.zeros_like(cover)}
+        missing = {name: value for name, value in usual.items() if getattr(maps, name) is None}
+        filled.append(replace(maps, **missing) if missing else maps)
+    return replace(view, background_maps=filled[0], object_maps=filled[1])
 
 
 def _seen_shadow(shadow: FloatArray, scene: Scene, window: Window) -> FloatArray:

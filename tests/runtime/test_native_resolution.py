@@ -242,6 +242,20 @@ def test_shadow_under_the_object_is_ignored(relighter, options, large, shadows):
     np.testing.assert_allclose(a.image[beside | covered], b.image[beside | covered], atol=1e-5)
 
 
+def test_materials_nobody_described_are_matt_and_no_metal(large, shadows):
+    bare = replace(
+        large,
+        background_maps=replace(large.background_maps, roughness=None, metallic=None),
+        object_maps=replace(large.object_maps, metallic=None),
+    )
+    view = prepare_window(SPEC, bare, [GuidingShadow(shadows[0])]).view
+    assert np.unique(view.background_maps.roughness) == np.float32(0.7)
+    assert not view.background_maps.metallic.any()
+    assert not view.object_maps.metallic.any()
+    told = prepare_window(SPEC, large, [GuidingShadow(shadows[0])]).view
+    np.testing.assert_array_equal(view.object_maps.roughness, told.object_maps.roughness)
+
+
 def test_what_is_prepared_runs_again_and_again(relighter, options, large, shadows):
     task = relighter.prepare(large, *shadows, options)
     wanted = relighter.relight(large, *shadows, options)

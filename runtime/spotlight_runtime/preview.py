@@ -37,6 +37,8 @@ FROM_LIGHT: Final = 1.0
 UNKNOWN: Final = (0.0, 0.8, 0.6)
 """Where light comes from if only its shadow is given: above and before the object, as lamps do."""
 DARKEST_ALBEDO: Final = 0.05
+ENOUGH_PIXELS: Final = 1 << 16
+"""To tell how bright a photograph is."""
 _LEVEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -128,10 +130,9 @@ def _layers(
     lights = tuple(light) if isinstance(light, Sequence) else (light,)
     ready = any(isinstance(each, GuidingShadow) for each in lights)
     guides = guiding_shadows(scene, lights, None if ready else "none")
-    small = megapixel(scene)
-    brightness = _brightness(small)
+    brightness = _brightness(scene)
     towards = [
-        _towards(small, each) if isinstance(each, Light) else np.array(UNKNOWN, np.float32)
+        _towards(scene, each) if isinstance(each, Light) else np.array(UNKNOWN, np.float32)
         for each in lights
     ]
     layers = [
@@ -143,8 +144,9 @@ def _layers(
 
 def _brightness(scene: Scene) -> FloatArray:
     """Median of light over albedo, where the photograph is not burnt out."""
-    albedo = luma(scene.background_maps.albedo)
-    light = luma(np.clip(scene.background, 0.0, 1.0))
+    step = max(1, math.isqrt(scene.object_mask.size // ENOUGH_PIXELS))
+    albedo = luma(scene.background_maps.albedo[::step, ::step])
+    light = luma(np.clip(scene.background[::step, ::step], 0.0, 1.0))
     usable = (albedo > DARKEST_ALBEDO) & (light < 1.0)
     level = float(np.median(light[usable] / albedo[usable])) if usable.any() else 1.0
     return np.full(3, level, dtype=np.float32)
@@ -152,8 +154,10 @@ def _brightness(scene: Scene) -> FloatArray:
 
 def _towards(scene: Scene, light: Light) -> FloatArray:
     """Unit vector from the object towards the light, camera space, near enough for a sketch."""
-    ground = floor_of(scene) if light.frame == "world" else None
-    axes = _LEVEL if ground is None else ground.world_axes()
+    ground = scene.ground
+    if ground is None and light.frame == "world":
+        ground = floor_of(megapixel(scene))
+    axes = _LEVEL if ground is None or light.frame == "camera" else ground.world_axes()
     if light.position is None:
         azimuth, elevation = math.radians(light.azimuth or 0.0), math.radians(light.elevation or 0)
         across = math.cos(elevation)
@@ -172,8 +176,7 @@ def _middle(scene: Scene) -> FloatArray:
     """Where the object is, camera space."""
     if scene.object_mesh is not None:
         return np.asarray(scene.object_mesh.vertices.mean(axis=0))
-    depth, mask = scene.object_maps.depth, scene.object_mask
-    if depth is None or not mask.any():
+    depth, inside = scene.object_maps.depth, scene.object_mask == 1.0
+    if depth is None or not inside.any():
         return np.array([0.0, 0.0, -1.0])
-    points = scene.camera.unproject(depth)[mask > 0.0]
-    return np.asarray(points.sum(axis=0) / mask[mask > 0.0].sum())
+    return np.asarray(scene.camera.unproject(depth)[inside].mean(axis=0))

@@ -68,6 +68,19 @@ def test_lit_side_faces_the_light():
         assert values[brighter].mean() > 1.1 * values[~brighter].mean(), light
 
 
+def test_a_light_in_the_cameras_frame_is_seen_from_where_the_object_is():
+    """Also where no mesh says where that is."""
+    from spotlight_runtime.preview import _towards
+
+    scene = make_scene(64, 96)
+    light = Light(position=(0.0, 3.0, -2.9), frame="camera")
+    assert _towards(scene, light) @ np.float32([0.0, 1.0, 0.0]) > 0.95
+    flat = replace(scene, object_maps=replace(scene.object_maps, depth=None))
+    assert np.linalg.norm(_towards(flat, light)) == pytest.approx(1.0)
+    floor = Light(azimuth=90.0, elevation=60.0)
+    assert _towards(scene, floor)[1] > 0.5
+
+
 def test_several_lights_in_one_sketch_or_in_one_each(scene, shadow):
     other = make_shadow(scene, "right") * (1 - scene.object_mask)
     lights = [GuidingShadow(shadow, weight=3.0), GuidingShadow(other)]

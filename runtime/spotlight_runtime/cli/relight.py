@@ -226,9 +226,9 @@ def relight(
         if target is not None:
             check_target(target)
     if animation is not None:
-        check_animation(animation)
         if sweep is None:
             raise InvalidInputError("--animation: expected --sweep beside it, say --sweep 8")
+        check_animation(animation)
     asked = Asked(
         azimuth=azimuth,
         elevation=elevation,

@@ -43,6 +43,13 @@ class Canvas:
         normal = np.zeros((*scene.size, 0), np.float32) if maps.normal is None else maps.normal
         return cls(scene.background, scene.object_mask, maps.albedo, normal)
 
+    def crop(self, size: tuple[int, int]) -> Canvas:
+        """The upper left part, of this height and width."""
+        corner = np.s_[: size[0], : size[1]]
+        return Canvas(
+            self.background[corner], self.mask[corner], self.albedo[corner], self.normal[corner]
+        )
+
     @property
     def size(self) -> tuple[int, int]:
         """Height and width in pixels."""

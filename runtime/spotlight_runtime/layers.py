@@ -236,8 +236,11 @@ def window_layer(
     -------
     WindowLayer
     """
-    mask = view.object_mask
-    encoded = np.clip(encode_linear(view.background, spec.image_encoding), 0.0, 1.0)
+    small = Canvas.of(view).crop(window.size)  # without what was grown for the VAE
+    corner = np.s_[: window.size[0], : window.size[1]]
+    view_shadow, predicted, no_shadow = view_shadow[corner], predicted[corner], no_shadow[corner]
+    mask = small.mask
+    encoded = np.clip(encode_linear(small.background, spec.image_encoding), 0.0, 1.0)
     visible = np.float32(1.0) - mask
     guide = divided(view_shadow, visible)[..., None]
     around = np.float32(1.0) - dilate(mask)
@@ -256,6 +259,6 @@ def window_layer(
         window=window,
         shadow=shadow,
         ratio=ratio,
-        light=fit_light(view, np.maximum(own, 0.0)),
+        light=fit_light(small, np.maximum(own, 0.0)),
         everywhere=fidelity == "release",
     )

@@ -15,7 +15,6 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.canvas import Canvas
-from spotlight_runtime.scene import Scene
 from spotlight_runtime.upsampling import GuidedFit, fit_guided
 
 __all__ = ["divided", "fit_light", "light_rows"]
@@ -37,12 +36,12 @@ THINNEST: Final = 0.25
 BARELY_COVERED: Final = 1e-4
 
 
-def fit_light(view: Scene, own: FloatArray) -> tuple[GuidedFit, ...]:
+def fit_light(small: Canvas, own: FloatArray) -> tuple[GuidedFit, ...]:
     """Fit the object's own light to its albedo and normals.
 
     Parameters
     ----------
-    view : Scene
+    small : Canvas
         At the model's scale.
     own : ndarray of float32, shape (h, w, 3)
         Light from the object alone: linear, premultiplied by its mask.
@@ -52,10 +51,10 @@ def fit_light(view: Scene, own: FloatArray) -> tuple[GuidedFit, ...]:
     tuple of GuidedFit
         One a channel.
     """
-    mask, canvas = view.object_mask, Canvas.of(view)
+    mask = small.mask
     light = own / np.maximum(mask, np.float32(THINNEST))[..., None]
-    albedo = np.clip(divided(canvas.albedo, mask), 0.0, 1.0)
-    normal = divided(canvas.normal, mask)
+    albedo = np.clip(divided(small.albedo, mask), 0.0, 1.0)
+    normal = divided(small.normal, mask)
     counted = np.where(mask >= THINNEST, mask * mask, np.float32(0.0))
     fits = []
     for value, colour in zip(np.moveaxis(light, 2, 0), np.moveaxis(albedo, 2, 0)):

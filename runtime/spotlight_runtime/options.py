@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, TypedDict, get_args
+from typing import Final, Literal, TypedDict, get_args
 
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.noise import checked_seed
@@ -12,7 +12,9 @@ from spotlight_runtime.solvers import SOLVERS, SolverName
 from spotlight_runtime.window import WindowMode
 from spotlight_spec import BackboneSpec
 
-__all__ = ["OptionChanges", "RelightOptions"]
+__all__ = ["Detail", "OptionChanges", "RelightOptions"]
+
+Detail = Literal["auto", "renderer", "maps"]
 
 _LIMITS: Final = {
     "gamma": 20.0,
@@ -55,6 +57,11 @@ class RelightOptions:
         ``auto``: a photograph larger than the backbone was trained at is diffused in a window
         around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
         all of it at its own scale, whatever time and memory that takes.
+    detail : {"auto", "renderer", "maps"}
+        Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
+        ``maps``: the predicted shading on the object's own albedo and normals, sharper than any
+        decoder. ``auto``: the renderer's where the whole photograph is diffused, the maps' where
+        a window is; a window that is enlarged has no other.
 
     Raises
     ------
@@ -73,6 +80,7 @@ class RelightOptions:
     denoise: bool | None = None
     batch_branches: bool = False
     window: WindowMode = "auto"
+    detail: Detail = "auto"
 
     def __post_init__(self) -> None:
         for name, high in _LIMITS.items():
@@ -94,6 +102,10 @@ class RelightOptions:
             )
         if self.window not in get_args(WindowMode):
             raise InvalidInputError(f"window: expected 'auto' or 'frame', got {self.window!r}")
+        if self.detail not in get_args(Detail):
+            raise InvalidInputError(
+                f"detail: expected {', '.join(get_args(Detail))}, got {self.detail!r}"
+            )
 
     @classmethod
     def of(cls, options: RelightOptions | None, changes: OptionChanges) -> RelightOptions:
@@ -129,3 +141,4 @@ class OptionChanges(TypedDict, total=False):
     denoise: bool | None
     batch_branches: bool
     window: WindowMode
+    detail: Detail

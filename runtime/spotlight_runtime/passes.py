@@ -23,7 +23,7 @@ from spotlight_runtime.options import RelightOptions
 from spotlight_runtime.preparation import Prepared
 from spotlight_runtime.putback import put_back
 from spotlight_runtime.result import PassName, Progress, RelightResult, Stopwatch
-from spotlight_runtime.sampler import Fidelity, LoopInputs, Step, sample, shadow_guided
+from spotlight_runtime.sampler import LoopInputs, Step, sample, shadow_guided
 from spotlight_runtime.scene import Scene
 from spotlight_runtime.schedule import Schedule
 from spotlight_runtime.sessions import Network
@@ -183,7 +183,7 @@ def layer(
     number: int,
     predicted: FloatArray,
     no_shadow: FloatArray,
-    fidelity: Fidelity,
+    options: RelightOptions,
 ) -> Layer:
     """What one light's predictions make of the photograph.
 
@@ -195,7 +195,8 @@ def layer(
         Which of its lights.
     predicted, no_shadow : ndarray of float32, shape (h, w, 3)
         As `develop` returns them.
-    fidelity : {"paper", "release"}
+    options : RelightOptions
+        ``fidelity`` and ``detail`` apply.
 
     Returns
     -------
@@ -203,7 +204,8 @@ def layer(
     """
     shadow, _ = prepared.shadows[number]
     canvas, view = prepared.canvas, prepared.view
-    if prepared.window.native:
+    fidelity = options.fidelity
+    if prepared.window.native and options.detail != "maps":
         return frame_layer(spec, canvas.size, view, shadow, predicted, no_shadow, fidelity)
     return window_layer(
         spec,
@@ -248,7 +250,7 @@ def result(
     prepared = task.prepared
     with task.stopwatch.stage("composite"):
         layers = [
-            layer(spec, prepared, number, picture, no_shadow, task.options.fidelity)
+            layer(spec, prepared, number, picture, no_shadow, task.options)
             for number, picture in enumerate(predicted)
         ]
         image = put_back(prepared.canvas, prepared.window, layers, prepared.mix)

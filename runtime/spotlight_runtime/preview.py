@@ -31,9 +31,9 @@ __all__ = ["Preview", "PreviewLayer", "preview", "preview_each"]
 
 OPACITY: Final = 0.7
 """Share of the light a full shadow takes away; rooms and skies fill in the rest."""
-FROM_EVERYWHERE: Final = 0.5
+FROM_EVERYWHERE: Final = 0.45
 """Of the photograph's own brightness; a surface that faces the light gets this and `FROM_LIGHT`."""
-FROM_LIGHT: Final = 1.0
+FROM_LIGHT: Final = 0.75
 UNKNOWN: Final = (0.0, 0.8, 0.6)
 """Where light comes from if only its shadow is given: above and before the object, as lamps do."""
 DARKEST_ALBEDO: Final = 0.05

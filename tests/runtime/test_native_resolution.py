@@ -11,7 +11,7 @@ import pytest
 from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
-from spotlight_runtime import GuidingShadow, Intrinsics
+from spotlight_runtime import GuidingShadow, Intrinsics, RelightOptions
 from spotlight_runtime.canvas import Canvas
 from spotlight_runtime.colour import linear_to_gamma22, linear_to_srgb
 from spotlight_runtime.layers import SOFT_BORDER, window_layer
@@ -194,7 +194,7 @@ def test_rows_of_a_layer_join(textured, shadows):
     prepared = prepare_window(SPEC, textured, guides)
     rng = np.random.default_rng(0)
     pictures = [rng.random((*prepared.view.size, 3), np.float32) for _ in range(2)]
-    made = layer(SPEC, prepared, 0, *pictures, "paper")
+    made = layer(SPEC, prepared, 0, *pictures, RelightOptions())
     whole, untouched = made.rows(0, prepared.window.height)
     for top in range(0, prepared.window.height, 37):
         part, kept = made.rows(top, min(top + 37, prepared.window.height))
@@ -207,9 +207,46 @@ def test_an_object_without_normals_is_put_back_too(relighter, options, large, sh
     bare = replace(large, object_maps=replace(large.object_maps, normal=None))
     prepared = prepare_window(spec, bare, [GuidingShadow(shadows[0])])
     picture = np.full((*prepared.view.size, 3), 0.5, np.float32)
-    made = layer(spec, prepared, 0, picture, picture, "paper")
+    made = layer(spec, prepared, 0, picture, picture, RelightOptions())
     image = put_back(prepared.canvas, prepared.window, [made], prepared.mix)
     assert np.isfinite(image).all()
+
+
+@pytest.mark.parametrize(("size", "scale"), [((200, 300), 2), ((61, 93), 1), ((1200, 30), 1.3)])
+def test_what_was_grown_for_the_vae_is_cut_off_again(size, scale):
+    """A right prediction of a view with a grown border comes back in its place."""
+    scene = make_scene(*size)
+    shadow = make_shadow(scene)
+    prepared = prepare_window(SPEC, scene, [GuidingShadow(shadow)])
+    view, (cleared, _) = prepared.view, prepared.shadows[0]
+    assert view.size[0] % 8 == view.size[1] % 8 == 0
+    assert prepared.window.scale == pytest.approx(scale, rel=0.2)
+    front = view.object_maps.albedo * np.float32(0.5)
+    behind = view.background * (1 - view.object_mask[..., None])
+    dark = front + behind * (1 - DARKNESS * cleared)[..., None]
+    pictures = [linear_to_gamma22(p) for p in (dark, front + behind)]
+    options = RelightOptions(detail="maps")
+    made = layer(SPEC, prepared, 0, *pictures, options)
+    image = put_back(prepared.canvas, prepared.window, [made], prepared.mix)
+    left = (1 - DARKNESS * shadow)[..., None] * (1 - scene.object_mask[..., None])
+    truth = linear_to_srgb(scene.object_maps.albedo * 0.5 + scene.background * left)
+    assert psnr(image, truth, scene.object_mask == 1) > 33.0
+    inside = (shadow > 0.3) & (scene.object_mask == 0)
+    assert psnr(image, truth, inside) > 28.0
+
+
+def test_detail_of_a_whole_photograph_is_to_choose(relighter, options):
+    scene = make_scene(64, 96)
+    shadow = make_shadow(scene)
+    auto, renderer, maps = (
+        relighter.relight(scene, shadow, options=options, detail=detail)
+        for detail in ("auto", "renderer", "maps")
+    )
+    assert auto.image.tobytes() == renderer.image.tobytes()
+    assert maps.prediction.tobytes() == renderer.prediction.tobytes()
+    assert np.abs(maps.image - renderer.image).max() > 0.05
+    far = ~touched(scene, shadow)
+    np.testing.assert_array_equal(maps.image[far], linear_to_srgb(scene.background)[far])
 
 
 def test_extreme_objects(relighter, options):

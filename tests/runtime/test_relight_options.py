@@ -23,6 +23,7 @@ from spotlight_runtime.errors import InvalidInputError
         *(("fidelity", v) for v in ("Paper", "", None, 1)),
         *(("solver", v) for v in ("euler", "", None, "DDIM")),
         *(("window", v) for v in ("Auto", "", None, 512)),
+        *(("detail", v) for v in ("Maps", "", None, True)),
     ],
 )
 def test_option_outside_its_domain_is_named(name, value):
@@ -41,6 +42,7 @@ def test_option_outside_its_domain_is_named(name, value):
         *(("fidelity", v) for v in ("paper", "release")),
         *(("denoise", v) for v in (None, True, False)),
         *(("window", v) for v in ("auto", "frame")),
+        *(("detail", v) for v in ("auto", "renderer", "maps")),
     ],
 )
 def test_options_within_their_domain_can_be_reported(name, value):

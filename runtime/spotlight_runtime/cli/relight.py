@@ -173,6 +173,15 @@ def relight(
             rich_help_panel=METHOD,
         ),
     ] = "auto",
+    detail: Annotated[
+        Literal["auto", "renderer", "maps"],
+        typer.Option(
+            help="Whose detail the object shows: the renderer's pixels, or its shading on the "
+            "object's own maps.",
+            show_default="maps in a window, the renderer's in a frame",
+            rich_help_panel=METHOD,
+        ),
+    ] = "auto",
     denoise: Annotated[
         bool | None,
         typer.Option(
@@ -221,6 +230,7 @@ def relight(
         fidelity=fidelity,
         denoise=denoise,
         window=window,
+        detail=detail,
     )
     for target in (output, shadow_out):  # now, not after the minutes a relight takes
         if target is not None:

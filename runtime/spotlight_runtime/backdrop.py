@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -25,8 +25,10 @@ from spotlight_runtime.ground import Ground, fit_ground, ground_from_clicks
 from spotlight_runtime.images import read_image
 from spotlight_runtime.photograph import Photograph
 from spotlight_runtime.scene import MAP_NAMES, Intrinsics
+from spotlight_runtime.settling import settle
+from spotlight_runtime.verticals import up_from_verticals
 
-__all__ = ["CAMERA_HEIGHT", "Backdrop", "build_backdrop", "combine_maps", "read_map"]
+__all__ = ["CAMERA_HEIGHT", "NEEDED", "Backdrop", "build_backdrop", "combine_maps", "read_map"]
 
 
 CAMERA_HEIGHT: Final = 1.5
@@ -38,6 +40,9 @@ SAME_SHAPE: Final = 0.02
 NEAR_CONTACT: Final = 0.01
 """Share of the picture's diagonal around the contact point whose depth is the contact's."""
 NEEDED: Final = ("albedo", "normal", "depth")
+"""Maps without which there is no scene; roughness and metalness have usual values."""
+
+FloorSource = Literal["horizon", "upright edges", "depth"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,11 +56,14 @@ class Backdrop:
         At the photograph's size; depth in metres.
     ground : Ground
         In metres.
+    source : {"horizon", "upright edges", "depth"}
+        What the floor was found by.
     """
 
     photograph: Photograph
     maps: Intrinsics
     ground: Ground
+    source: FloorSource = "depth"
 
 
 def read_map(path: Path, name: str, size: tuple[int, int], scale: float = 1.0) -> FloatArray:
@@ -139,6 +147,7 @@ def build_backdrop(
     photograph: Photograph,
     maps: Intrinsics,
     *,
+    estimated: bool = False,
     contact: tuple[float, float] | None = None,
     horizon: float | None = None,
     camera_height: float | None = None,
@@ -149,15 +158,19 @@ def build_backdrop(
     ----------
     photograph : Photograph
     maps : Intrinsics
-        Depth in any unit if ``camera_height`` is given, in metres if not.
+        Depth in any unit if it is estimated or ``camera_height`` is given, in metres otherwise.
+    estimated : bool
+        Whether depth and normals are a network's guess. Then the photograph's upright edges say
+        better where the floor is, and depth is settled on it.
     contact : (x, y), optional
         A point where something stands on the floor, in fractions of the picture; needed with
         ``horizon``.
     horizon : float, optional
-        Row of the horizon as a fraction of the picture's height (it may lie outside); if not
-        given, the floor is fitted to depth and normals.
+        Row of the horizon as a fraction of the picture's height (it may lie outside); the camera
+        does not roll. If not given, the floor is found.
     camera_height : float, optional
-        Metres above the floor, from which the scale of the depth follows.
+        Metres above the floor, from which the scale of the depth follows; `CAMERA_HEIGHT` if depth
+        is estimated and nobody says.
 
     Raises
     ------
@@ -170,25 +183,63 @@ def build_backdrop(
         raise InvalidInputError(f"camera height: expected metres, more than 0, got {camera_height}")
     if maps.depth is None:
         raise MissingMapError("background: expected depth, got none; give --depth")
+    if horizon is not None and contact is None:
+        raise InvalidInputError("horizon: expected a contact point beside it, got none")
     camera = photograph.camera
-    if horizon is None:
-        ground = _fitted(camera, maps)
+    if estimated:
+        height = CAMERA_HEIGHT if camera_height is None else camera_height
+        ground, sign = _seen_floor(photograph, maps, contact, horizon, height)
+        return Backdrop(photograph, settle(maps, camera, ground), ground, sign)
+    if horizon is not None and contact is not None:
+        ground, scale = _clicked(camera, maps.depth, contact, horizon, camera_height)
+        source: FloorSource = "horizon"
+    else:
+        ground, source = _fitted(camera, maps), "depth"
         scale = 1.0 if camera_height is None else camera_height / -ground.offset
         ground = Ground(ground.normal, ground.offset * scale)
-    else:
-        if contact is None:
-            raise InvalidInputError("horizon: expected a contact point beside it, got none")
-        x, y = contact[0] * camera.width, contact[1] * camera.height
-        row, near = horizon * camera.height, _depth_around(maps.depth, contact)
-        if camera_height is None:
-            ground, scale = ground_from_clicks(camera, row, (x, y), contact_depth=near), 1.0
-        else:
-            ground = ground_from_clicks(camera, row, (x, y), camera_height=camera_height)
-            ray = np.array([x - 0.5 * camera.width, 0.5 * camera.height - y, -camera.focal])
-            scale = ground.offset * camera.focal / float(np.asarray(ground.normal) @ ray) / near
     if scale != 1.0:
         maps = replace(maps, depth=maps.depth * np.float32(scale))
-    return Backdrop(photograph, maps, ground)
+    return Backdrop(photograph, maps, ground, source)
+
+
+def _seen_floor(
+    photograph: Photograph,
+    maps: Intrinsics,
+    contact: tuple[float, float] | None,
+    horizon: float | None,
+    height: float,
+) -> tuple[Ground, FloorSource]:
+    """The floor of a photograph whose depth is a guess, by the surest sign there is."""
+    camera = photograph.camera
+    if horizon is not None and contact is not None:
+        row, point = horizon * camera.height, _pixels(camera, contact)
+        return ground_from_clicks(camera, row, point, camera_height=height), "horizon"
+    up = up_from_verticals(photograph)
+    if up is not None:
+        return Ground(up, -height), "upright edges"
+    return Ground(_fitted(camera, maps).normal, -height), "depth"
+
+
+def _clicked(
+    camera: Camera,
+    depth: FloatArray,
+    contact: tuple[float, float],
+    horizon: float,
+    height: float | None,
+) -> tuple[Ground, float]:
+    """The floor by horizon and contact, and what brings the depth to its unit."""
+    row, (x, y) = horizon * camera.height, _pixels(camera, contact)
+    near = _depth_around(depth, contact)
+    if height is None:
+        return ground_from_clicks(camera, row, (x, y), contact_depth=near), 1.0
+    ground = ground_from_clicks(camera, row, (x, y), camera_height=height)
+    ray = np.array([x - 0.5 * camera.width, 0.5 * camera.height - y, -camera.focal])
+    far = ground.offset * camera.focal / float(np.asarray(ground.normal) @ ray)
+    return ground, far / near
+
+
+def _pixels(camera: Camera, at: tuple[float, float]) -> tuple[float, float]:
+    return at[0] * camera.width, at[1] * camera.height
 
 
 def _fitted(camera: Camera, maps: Intrinsics) -> Ground:

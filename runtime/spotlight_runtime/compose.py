@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import cv2
@@ -18,15 +17,13 @@ from spotlight_runtime.gbuffer import GBuffer, render_gbuffer
 from spotlight_runtime.mesh import ObjectMesh
 from spotlight_runtime.posing import Placement, pose_product
 from spotlight_runtime.product import Product
-from spotlight_runtime.scene import Intrinsics, Scene
+from spotlight_runtime.scene import Scene
 
 __all__ = ["compose", "draft"]
 
 
 LEAST_VISIBLE: Final = 4.0
 """Pixels of the object below which there is nothing to relight."""
-BACKGROUND_ROUGHNESS: Final = np.float32(0.7)
-"""Where no map says otherwise: what rooms and streets are made of is mostly matt, and no metal."""
 DRAFT_SIDE: Final = 1024
 DRAFT_LIGHT: Final = np.array([-0.35, 0.75, 0.56], dtype=np.float32)
 """Of the draft: from the upper left, behind the camera."""
@@ -75,7 +72,7 @@ def compose(
     _check_coverage(buffer, name)
     return Scene(
         background=backdrop.photograph.radiance,
-        background_maps=_complete(backdrop.maps),
+        background_maps=backdrop.maps,
         object_maps=buffer.maps,
         object_mask=buffer.mask,
         footprint_depth=footprint,
@@ -155,15 +152,3 @@ def _check_coverage(buffer: GBuffer, name: str) -> None:
             f"{name}: the object covers the whole picture; make it smaller (--size) or place it "
             "further up, which is further away (--at)"
         )
-
-
-def _complete(maps: Intrinsics) -> Intrinsics:
-    """Roughness and metalness where neither a user nor an estimator says them."""
-    size = maps.albedo.shape[:2]
-    # A view of one number: a map of the photograph's size that takes no memory.
-    roughness, metallic = maps.roughness, maps.metallic
-    if roughness is None:
-        roughness = np.broadcast_to(BACKGROUND_ROUGHNESS, size)
-    if metallic is None:
-        metallic = np.broadcast_to(np.float32(0.0), size)
-    return replace(maps, roughness=roughness, metallic=metallic)

@@ -41,17 +41,16 @@ def scene():
 
 def test_scene_has_everything_a_relight_needs(scene):
     assert scene.size == (180, 240)
-    for name in ("albedo", "normal", "depth", "roughness", "metallic"):
+    for name in ("albedo", "normal", "depth"):
         assert scene.has_map(name)
     assert scene.field_of_view == 60.0
     assert scene.ground == BACKDROP.ground
     assert scene.name == "room-cube"
     assert scene.footprint_depth.max() > 0.0
     assert scene.object_mesh.faces.shape == (12, 3)
-    for backbone in ("mini", "zerocomp-interiorverse", "zerocomp-openrooms"):
-        shadow = np.zeros(scene.size, np.float32)
-        array = conditioning_array(BACKBONES[backbone], scene, shadow)
-        assert np.isfinite(array).all()
+    shadow = np.zeros(scene.size, np.float32)
+    array = conditioning_array(BACKBONES["zerocomp-openrooms"], scene, shadow)
+    assert np.isfinite(array).all()
 
 
 def test_background_is_the_photograph_bit_for_bit(scene):
@@ -106,7 +105,7 @@ def test_given_roughness_is_kept():
     backdrop = replace(BACKDROP, maps=replace(BACKDROP.maps, roughness=rough))
     composed = compose(backdrop, ball(), Placement((0.3, 0.8)))
     assert composed.background_maps.roughness is rough
-    assert composed.background_maps.metallic.max() == 0.0
+    assert composed.background_maps.metallic is None
 
 
 def test_screen_hides_the_object_unless_told_otherwise():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Final
@@ -9,7 +10,14 @@ from typing import Annotated, Final
 import typer
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.backdrop import CAMERA_HEIGHT, build_backdrop, combine_maps, read_map
+from spotlight_runtime.backdrop import (
+    CAMERA_HEIGHT,
+    NEEDED,
+    Backdrop,
+    build_backdrop,
+    combine_maps,
+    read_map,
+)
 from spotlight_runtime.bundle import save_bundle
 from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from spotlight_runtime.compose import compose as compose_scene
@@ -29,6 +37,7 @@ from spotlight_runtime.photograph import (
 from spotlight_runtime.posing import Placement
 from spotlight_runtime.product import Product
 from spotlight_runtime.product_files import PRODUCT_SUFFIXES, load_product
+from spotlight_runtime.scene import Scene
 from spotlight_runtime.sessions import Network
 
 __all__ = ["compose"]
@@ -70,8 +79,13 @@ def compose(
         Path | None, typer.Option(help="Of a cut-out without alpha: white on the object.")
     ] = None,
     occlusion: Annotated[
-        bool, typer.Option(help="Let what stands nearer in the photograph hide the object.")
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--occlusion/--no-occlusion",
+            help="Let what stands nearer in the photograph hide the object.",
+            show_default="where --depth says what is nearer",
+        ),
+    ] = None,
     fov: Annotated[
         float | None,
         typer.Option(
@@ -100,7 +114,7 @@ def compose(
         float | None,
         typer.Option(
             help="Row of the horizon, as a fraction of the height; with --at it places the floor.",
-            show_default="the floor is found",
+            show_default="the floor is found by upright edges, or depth",
         ),
     ] = None,
     camera_height: Annotated[
@@ -151,32 +165,42 @@ def compose(
         if path is not None
     }
     thing = _object(item, variant, mask)
-    unknown = not {"albedo", "normal", "depth"} <= set(given)
-    estimated = None
-    if unknown or isinstance(thing, Cutout):
-        network = _estimator(estimator)
-        estimated = estimate_intrinsics(network, photograph) if unknown else None
-        thing = estimate_cutout(network, thing) if isinstance(thing, Cutout) else thing
-    maps = combine_maps(given, estimated)
-    if camera_height is None and depth is None:
-        camera_height = CAMERA_HEIGHT
+    guessed = any(name not in given for name in NEEDED)
+    if isinstance(thing, Cutout):
+        thing = estimate_cutout(_estimator(estimator), thing)
     backdrop = build_backdrop(
         photograph,
-        maps,
+        # Not named here: a large photograph's maps before the floor is known are let go with it.
+        combine_maps(
+            given, estimate_intrinsics(_estimator(estimator), photograph) if guessed else None
+        ),
+        estimated=depth is None,
         contact=point,
         horizon=level if horizon is None else horizon,
         camera_height=camera_height,
     )
-    scene = compose_scene(backdrop, thing, placement, occluded=occlusion)
+    hides = depth is not None if occlusion is None else occlusion
+    scene = compose_scene(backdrop, thing, placement, occluded=hides)
     save_bundle(
         scene,
         output,
         photograph=photograph.file,
-        working_side=None if estimated is None else DETAIL_SIDE,
+        working_side=DETAIL_SIDE if guessed else None,
     )
     write_image(output / "preview.png" if preview is None else preview, draft(scene))
-    covered = float(scene.object_mask.mean())
-    print(f"{output}: the object covers {covered:.1%} of the picture", file=sys.stderr)
+    print(f"{output}: {_account(backdrop, scene)}", file=sys.stderr)
+
+
+def _account(backdrop: Backdrop, scene: Scene) -> str:
+    """What was found and made, and how to correct it."""
+    up = backdrop.ground.normal
+    pitch = math.degrees(math.atan2(up[2], up[1]))
+    row = horizon_of(backdrop.photograph.camera, -pitch)
+    return (
+        f"the object covers {float(scene.object_mask.mean()):.1%} of the picture; floor by "
+        f"{backdrop.source}: the camera looks down {pitch:.0f} degrees from "
+        f"{-backdrop.ground.offset:.2f} m (if not, say --horizon; this is {row:.2f})"
+    )
 
 
 def _photograph(

@@ -8,10 +8,12 @@ from support.models import box_arrays, sphere_arrays
 from support.rooms import room
 
 from runtime.scene_comparison import arrays_of
-from spotlight_runtime import Scene
+from spotlight_runtime import Intrinsics, Scene
 from spotlight_runtime.conditioning import align_depth, conditioning_array
+from spotlight_runtime.cutout import Cutout
 from spotlight_runtime.errors import GroundError, PlacementError
 from spotlight_runtime.materials import Material
+from spotlight_runtime.photograph import Photograph
 from spotlight_runtime.posing import Placement
 from spotlight_runtime.product import Piece, assemble
 from spotlight_spec import BACKBONES
@@ -136,6 +138,23 @@ def test_object_that_fills_the_picture():
     wall = assemble([Piece(*box_arrays((30.0, 4.0, 0.01)), RED)], "wall")
     with pytest.raises(PlacementError, match=r"covers the whole picture.*smaller"):
         compose(BACKDROP, wall, Placement((0.5, 0.999)))
+
+
+def test_cutout_stands_in_the_scene_like_a_product():
+    rows, columns = np.mgrid[:60, :40]
+    mask = ((rows - 30) ** 2 / 900 + (columns - 20) ** 2 / 400 < 0.9).astype(np.float32)
+    maps = Intrinsics(
+        albedo=np.full((60, 40, 3), 0.5, np.float32),
+        normal=np.broadcast_to(np.float32([0, 0, 1]), (60, 40, 3)).copy(),
+        depth=np.full((60, 40), 2.0, np.float32),
+    )
+    figure = Cutout(Photograph(np.full((60, 40, 3), 0.4, np.float32), name="figure"), mask, maps)
+    composed = compose(BACKDROP, figure, Placement((0.5, 0.8), height=0.8))
+    assert composed.object_mesh is None
+    assert composed.name == "room-figure"
+    assert composed.footprint_depth.max() > 0.0
+    assert 0.005 < composed.object_mask.mean() < 0.2
+    assert draft(composed).shape == (180, 240, 3)
 
 
 def test_draft_shows_the_object_in_the_photograph(scene):

@@ -286,6 +286,62 @@ def test_obj_normals_are_used(tmp_path):
     np.testing.assert_allclose(product.normals, [[0.6, 0, 0.8]] * 3, atol=1e-6)
 
 
+def test_obj_in_vertex_colours(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    product = load_product(tmp_path / "a.obj")
+    order = np.argsort(product.vertices @ [1.0, 2.0, 0.0])
+    np.testing.assert_allclose(product.colours[order, :3], np.eye(3), atol=0.01)
+
+
+@pytest.mark.parametrize("width", [3, 4])
+def test_embedded_texture_second_coordinates_and_vertex_colours(tmp_path, width):
+    builder = GltfBuilder()
+    texture = builder.image(np.full((4, 4, 3), 200, np.uint8))
+    change = {"offset": [0.5, 0.25], "scale": [2.0, 3.0], "rotation": 0.0}
+    info = {
+        "index": texture,
+        "texCoord": 1,
+        "extensions": {"KHR_texture_transform": change},
+    }
+    builder.tree["samplers"] = [{"wrapS": 33071, "wrapT": 33648}]
+    builder.tree["textures"][0]["sampler"] = 0
+    material = builder.material(pbrMetallicRoughness={"baseColorTexture": info})
+    colours = np.full((4, width), 128, np.uint8)
+    builder.node(
+        builder.primitive(
+            QUAD_FACES,
+            POSITION=builder.accessor(QUAD),
+            TEXCOORD_1=builder.accessor(QUAD_UV),
+            COLOR_0=builder.accessor(colours, "u1", normalized=True),
+            material=material,
+        )
+    )
+    product = load_product(builder.write(tmp_path / "a.glb"))
+    found = product.materials[0].base_texture
+    assert (found.uv_set, found.wrap) == (1, ("clamp", "mirror"))
+    np.testing.assert_allclose(found.transform, [[2.0, 0.0, 0.5], [0.0, 3.0, 0.25]])
+    np.testing.assert_allclose(product.uv[:, 1], QUAD_UV[QUAD_FACES.ravel()])
+    assert product.colours[0, 0] == pytest.approx(128 / 255)
+    assert product.colours[0, 3] == pytest.approx(1.0 if width == 3 else 128 / 255)
+
+
+def test_obj_whose_texture_is_truncated(tmp_path):
+    data = cv2.imencode(".png", np.zeros((64, 64, 3), np.uint8))[1].tobytes()
+    (tmp_path / "t.png").write_bytes(data[:60])
+    path = obj_files(tmp_path, material="newmtl red\nmap_Kd t.png\n", lines="vt 0 0\n")
+    text = path.read_text()
+    path.write_text(
+        "".join(
+            f"f {' '.join(c + '/1' for c in line.split()[1:])}\n"
+            if line.startswith("f ")
+            else line + "\n"
+            for line in text.splitlines()
+        )
+    )
+    with pytest.raises(ProductError, match="texture"):
+        load_product(path)
+
+
 # What can be wrong
 
 

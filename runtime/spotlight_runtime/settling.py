@@ -2,7 +2,8 @@
 
 A small network's depth is right about what is in front of what, and wrong by a power: near and far
 are drawn together or apart. The floor says by how much, for its depth follows from the camera's
-height and tilt. After that what is nearly floor is floor, so that shadows lie flat on it.
+height and tilt. After that what is nearly floor is floor, so that shadows lie flat on it, and what
+would be below it is floor, too.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ LEAST_FLOOR: Final = 0.02
 POWERS: Final = (0.5, 2.5)
 ROUNDS: Final = 10
 SURELY, BARELY = np.float32(0.12), np.float32(0.3)
-"""Difference in log depth up to which what may be floor is floor, and from which it is not."""
+"""Log depth before the floor's up to which what may be floor is floor, and from which not."""
 STRIP_PIXELS: Final = 1 << 19
 
 
@@ -63,9 +64,11 @@ def settle(maps: Intrinsics, camera: Camera, ground: Ground) -> Intrinsics:
         logarithm = scale + power * np.log(old_depth[rows])
         falling = _falling(camera, ground, rows)
         floor = np.log(np.float32(-ground.offset) / np.maximum(falling, np.float32(LOWEST_RAY)))
-        off = np.abs(logarithm - floor)
-        share = np.clip((BARELY - off) / (BARELY - SURELY), 0.0, 1.0)
-        share *= (falling > LOWEST_RAY) & (old_normal[rows] @ up > FACING_UP)
+        above = floor - logarithm
+        share = np.clip((BARELY - above) / (BARELY - SURELY), 0.0, 1.0)
+        # What faces up and is little above the floor is floor; nothing is below it.
+        share *= (old_normal[rows] @ up > FACING_UP) | (above < 0.0)
+        share *= falling > LOWEST_RAY
         depth[rows] = np.exp(logarithm + share * (floor - logarithm))
         mixed = old_normal[rows] + share[..., None] * (up - old_normal[rows])
         length = np.sqrt(np.einsum("hwc,hwc->hw", mixed, mixed))

@@ -198,8 +198,8 @@ def _account(backdrop: Backdrop, scene: Scene) -> str:
     row = horizon_of(backdrop.photograph.camera, -pitch)
     return (
         f"the object covers {float(scene.object_mask.mean()):.1%} of the picture; floor by "
-        f"{backdrop.source}: the camera looks down {pitch:.0f} degrees from "
-        f"{-backdrop.ground.offset:.2f} m (if not, say --horizon; this is {row:.2f})"
+        f"{backdrop.source}, {-backdrop.ground.offset:.2f} m under a camera that looks "
+        f"{'down' if pitch >= 0.0 else 'up'} {abs(pitch):.0f} degrees (this is --horizon {row:.2f})"
     )
 
 

@@ -63,6 +63,9 @@ def settle(maps: Intrinsics, camera: Camera, ground: Ground) -> Intrinsics:
     def fill(rows: slice) -> None:
         logarithm = scale + power * np.log(old_depth[rows])
         falling = _falling(camera, ground, rows)
+        if falling.max() <= LOWEST_RAY:  # above the horizon
+            depth[rows], normal[rows] = np.exp(logarithm), old_normal[rows]
+            return
         floor = np.log(np.float32(-ground.offset) / np.maximum(falling, np.float32(LOWEST_RAY)))
         above = floor - logarithm
         share = np.clip((BARELY - above) / (BARELY - SURELY), 0.0, 1.0)

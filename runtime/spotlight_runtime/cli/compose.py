@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -147,47 +148,47 @@ def compose(
     """
     if preview is not None:
         check_target(preview)
-    photograph, level = _photograph(background, fov, exposure, panorama, crop)
-    point = _pair("--at", at)
-    if max(point) > 1.0:
-        point = (point[0] / photograph.size[1], point[1] / photograph.size[0])
-    placement = Placement(point, yaw, size, height)
-    paths = {
-        "albedo": albedo,
-        "normal": normal,
-        "depth": depth,
-        "roughness": roughness,
-        "metallic": metallic,
-    }
-    given: dict[str, FloatArray] = {
-        name: read_map(path, name, photograph.size, depth_scale)
-        for name, path in paths.items()
-        if path is not None
-    }
-    thing = _object(item, variant, mask)
-    guessed = any(name not in given for name in NEEDED)
+    with ThreadPoolExecutor(1) as aside:
+        pending = aside.submit(_object, item, variant, mask)
+        photograph, level = _photograph(background, fov, exposure, panorama, crop)
+        point = _pair("--at", at)
+        if max(point) > 1.0:
+            point = (point[0] / photograph.size[1], point[1] / photograph.size[0])
+        placement = Placement(point, yaw, size, height)
+        paths = {
+            "albedo": albedo,
+            "normal": normal,
+            "depth": depth,
+            "roughness": roughness,
+            "metallic": metallic,
+        }
+        given: dict[str, FloatArray] = {
+            name: read_map(path, name, photograph.size, depth_scale)
+            for name, path in paths.items()
+            if path is not None
+        }
+        guessed = any(name not in given for name in NEEDED)
+        backdrop = build_backdrop(
+            photograph,
+            # Not named here: a large photograph's maps before its floor is known go with it.
+            combine_maps(
+                given, estimate_intrinsics(_estimator(estimator), photograph) if guessed else None
+            ),
+            estimated=depth is None,
+            contact=point,
+            horizon=level if horizon is None else horizon,
+            camera_height=camera_height,
+        )
+        thing = pending.result()
     if isinstance(thing, Cutout):
         thing = estimate_cutout(_estimator(estimator), thing)
-    backdrop = build_backdrop(
-        photograph,
-        # Not named here: a large photograph's maps before the floor is known are let go with it.
-        combine_maps(
-            given, estimate_intrinsics(_estimator(estimator), photograph) if guessed else None
-        ),
-        estimated=depth is None,
-        contact=point,
-        horizon=level if horizon is None else horizon,
-        camera_height=camera_height,
-    )
     hides = depth is not None if occlusion is None else occlusion
     scene = compose_scene(backdrop, thing, placement, occluded=hides)
-    save_bundle(
-        scene,
-        output,
-        photograph=photograph.file,
-        working_side=DETAIL_SIDE if guessed else None,
-    )
-    write_image(output / "preview.png" if preview is None else preview, draft(scene))
+    with ThreadPoolExecutor(1) as aside:
+        look = aside.submit(draft, scene)
+        detail = DETAIL_SIDE if guessed else None
+        save_bundle(scene, output, photograph=photograph.file, working_side=detail)
+    write_image(output / "preview.png" if preview is None else preview, look.result())
     print(f"{output}: {_account(backdrop, scene)}", file=sys.stderr)
 
 

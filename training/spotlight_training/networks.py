@@ -320,7 +320,8 @@ class IntrinsicsNet(nn.Module):
 
     The network says how albedo differs from the photograph's own linear colour, in logits: texture
     and hue are there from the first step. (Asked for the albedo itself it was grey after eight
-    thousand samples.)
+    thousand samples.) Normals start out facing the camera, so that none is the direction of a
+    vector of nearly no length, which any rounding turns around.
     """
 
     def __init__(self, widths: tuple[int, ...] = (64, 128, 192, 256)) -> None:
@@ -353,6 +354,8 @@ class IntrinsicsNet(nn.Module):
             _norm(widths[0]), nn.SiLU(), nn.Conv2d(widths[0], 16 * 7, 3, padding=1)
         )
         self.fold = nn.PixelShuffle(4)
+        with torch.no_grad():
+            self.leave[-1].bias[5 * 16 : 6 * 16] += 1.0
 
     def forward(self, image: Tensor) -> Tensor:
         """Albedo, normal and depth stacked, of an image (B, 3, H, W)."""

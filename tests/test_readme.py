@@ -14,7 +14,7 @@ import pytest
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import Scene, write_image
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

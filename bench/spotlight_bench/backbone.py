@@ -14,13 +14,13 @@ import numpy as np
 from spotlight_bench.remembered import Memory
 from spotlight_runtime import Relighter, RelightOptions, Scene, Step
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.codec import decode_latents
-from spotlight_runtime.colour import decode_to_linear, encode_linear, linear_to_srgb
-from spotlight_runtime.composite import compose_picture
-from spotlight_runtime.conditioning import composite_maps
-from spotlight_runtime.denoise import denoise, denoiser_available
-from spotlight_runtime.models import open_networks, resolve_model
-from spotlight_runtime.sessions import Network
+from spotlight_runtime.diffusion.conditioning import composite_maps
+from spotlight_runtime.imaging.colour import decode_to_linear, encode_linear, linear_to_srgb
+from spotlight_runtime.imaging.denoise import denoise, denoiser_available
+from spotlight_runtime.networks.codec import decode_latents
+from spotlight_runtime.networks.models import open_networks, resolve_model
+from spotlight_runtime.networks.sessions import Network
+from spotlight_runtime.relighting.composite import compose_picture
 from spotlight_spec import BackboneSpec
 
 __all__ = ["Backbone", "compose_everywhere", "decode", "last"]

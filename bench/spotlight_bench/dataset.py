@@ -21,7 +21,7 @@ import numpy as np
 from spotlight_bench.errors import DataError
 from spotlight_runtime import Scene, read_image
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb, luma
+from spotlight_runtime.imaging.colour import linear_to_srgb, luma
 
 __all__ = [
     "AZIMUTHS",

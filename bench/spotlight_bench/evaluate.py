@@ -32,7 +32,7 @@ from spotlight_bench.pictures import Made, Studio, foreign_file
 from spotlight_bench.results import Result, ResultStore
 from spotlight_runtime import RelightOptions, write_image
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 __all__ = ["Done", "Perceptual", "Work", "evaluate", "picture_file", "plan"]
 

@@ -83,7 +83,7 @@ def evaluate(
     from spotlight_bench.perceptual import PerceptualDistance
     from spotlight_bench.results import RESULTS_FILE, ResultStore
     from spotlight_runtime import RelightOptions
-    from spotlight_runtime.sessions import available_cpus
+    from spotlight_runtime.networks.sessions import available_cpus
 
     if methods is None:
         wanted = list(QUICK if quick else BUILT_IN)

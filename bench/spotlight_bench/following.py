@@ -23,7 +23,7 @@ from spotlight_bench.dataset import AZIMUTHS
 from spotlight_bench.metrics import HALF_COVERED
 from spotlight_runtime import Scene
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import srgb_to_linear
+from spotlight_runtime.imaging.colour import srgb_to_linear
 
 __all__ = ["distances", "is_near", "is_right", "shading"]
 

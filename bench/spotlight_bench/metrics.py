@@ -170,8 +170,8 @@ def background_change(
     """
     import cv2
 
-    from spotlight_runtime.composite import REGION_BLUR
-    from spotlight_runtime.conditioning import masked_region
+    from spotlight_runtime.diffusion.conditioning import masked_region
+    from spotlight_runtime.relighting.composite import REGION_BLUR
 
     touched = masked_region(shadow * (1.0 - object_mask), object_mask).astype(np.uint8)
     reach = np.ones((REGION_BLUR, REGION_BLUR), np.uint8)

@@ -16,8 +16,8 @@ from spotlight_bench.methods import Method
 from spotlight_bench.sdedit import sdedit_picture, steps_again
 from spotlight_runtime import GuidingShadow, RelightOptions, RelightResult, Scene, read_image
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb
-from spotlight_runtime.conditioning import over
+from spotlight_runtime.diffusion.conditioning import over
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 __all__ = ["Made", "Studio", "foreign_file", "pasted_object"]
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from spotlight_runtime.sessions import Network
+from spotlight_runtime.networks.sessions import Network
 
 __all__ = ["Memory"]
 

@@ -16,13 +16,13 @@ import numpy as np
 from spotlight_bench.backbone import Backbone, compose_everywhere, decode, last
 from spotlight_runtime import GuidingShadow, LoopInputs, RelightOptions, Scene
 from spotlight_runtime.arrays import FloatArray, pad_edge
-from spotlight_runtime.blending import add_noise
-from spotlight_runtime.codec import encode_conditioning
-from spotlight_runtime.models import predictor
-from spotlight_runtime.noise import gaussian
-from spotlight_runtime.sampler import sample
-from spotlight_runtime.schedule import Schedule
-from spotlight_runtime.solvers import make_solver
+from spotlight_runtime.diffusion.blending import add_noise
+from spotlight_runtime.diffusion.noise import gaussian
+from spotlight_runtime.diffusion.sampler import sample
+from spotlight_runtime.diffusion.schedule import Schedule
+from spotlight_runtime.diffusion.solvers import make_solver
+from spotlight_runtime.networks.codec import encode_conditioning
+from spotlight_runtime.networks.models import predictor
 from spotlight_spec import BackboneSpec, MapSpec
 
 __all__ = ["hidden_everywhere", "one_branch", "sdedit_picture", "shadowed_shading", "steps_again"]

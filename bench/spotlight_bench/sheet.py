@@ -16,7 +16,7 @@ from spotlight_bench.methods import OURS, Method
 from spotlight_bench.results import Result
 from spotlight_runtime import read_image
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 __all__ = ["SHEET_METHODS", "animate", "guide", "qualitative_sheet", "sheet_rows"]
 

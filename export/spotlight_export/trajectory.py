@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spotlight_runtime.models import predictor
-from spotlight_runtime.sampler import LoopInputs, shadow_guided
-from spotlight_runtime.schedule import Schedule
-from spotlight_runtime.solvers import DDIM
+from spotlight_runtime.diffusion.sampler import LoopInputs, shadow_guided
+from spotlight_runtime.diffusion.schedule import Schedule
+from spotlight_runtime.diffusion.solvers import DDIM
+from spotlight_runtime.networks.models import predictor
 from spotlight_spec import BackboneSpec
 
 __all__ = ["made_up_inputs", "made_up_maps", "run_loop"]

@@ -9,15 +9,15 @@
     result.image  # (H, W, 3) float32, sRGB-encoded, in [0, 1]
 """
 
-from spotlight_runtime.guides import GuidingShadow
-from spotlight_runtime.images import read_image, write_image
-from spotlight_runtime.lights import Light
-from spotlight_runtime.options import RelightOptions
-from spotlight_runtime.relighter import Relighter
-from spotlight_runtime.result import Progress, RelightResult
-from spotlight_runtime.sampler import LoopInputs, Step
-from spotlight_runtime.scene import Intrinsics, Scene
-from spotlight_runtime.window import Window
+from spotlight_runtime.diffusion.sampler import LoopInputs, Step
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.imaging.images import read_image, write_image
+from spotlight_runtime.relighting.guides import GuidingShadow
+from spotlight_runtime.relighting.options import RelightOptions
+from spotlight_runtime.relighting.relighter import Relighter
+from spotlight_runtime.relighting.result import Progress, RelightResult
+from spotlight_runtime.relighting.window import Window
+from spotlight_runtime.scenes.scene import Intrinsics, Scene
 
 __all__ = [
     "GuidingShadow",

@@ -8,7 +8,7 @@ import numpy as np
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import Scene, write_image
-from spotlight_runtime.images import write_exr_layers
+from spotlight_runtime.imaging.images import write_exr_layers
 
 AZIMUTHS = [f"{index:04d}" for index in range(8)]
 ELEVATION = np.deg2rad(45.0)

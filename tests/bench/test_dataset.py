@@ -11,7 +11,7 @@ from spotlight_bench.dataset import find_scenes, has_directions, load_scene
 from spotlight_bench.errors import DataError
 from spotlight_bench.evaluate import plan
 from spotlight_runtime import write_image
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 
 @pytest.fixture

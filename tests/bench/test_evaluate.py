@@ -13,7 +13,7 @@ from bench.published import AZIMUTHS, write_set
 from spotlight_bench import cli
 from spotlight_bench.evaluate_command import evaluate
 from spotlight_runtime import read_image
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 METHODS = "pasted,no-control,sdedit,spotlight,gamma-1"
 OUTPUTS = {"tables.md", "images.csv", "methods.csv", "results.jsonl", "sheet.png"}

@@ -8,7 +8,7 @@ from support.scenes import make_scene
 
 from bench.published import lit
 from spotlight_bench import following
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from spotlight_bench.methods import BUILT_IN, Method
 from spotlight_bench.pictures import Studio, foreign_file, pasted_object
 from spotlight_bench.sdedit import hidden_everywhere, shadowed_shading, steps_again
 from spotlight_runtime import Relighter, RelightOptions, write_image
-from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
-from spotlight_runtime.conditioning import conditioning_array, dilate
+from spotlight_runtime.diffusion.conditioning import conditioning_array, dilate
+from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
 
 OPTIONS = RelightOptions(steps=2, denoise=False)
 

@@ -14,7 +14,7 @@ from spotlight_export.convert import convert_model
 from spotlight_export.errors import ModelFolderError, OutputFolderError, QuantisationError
 from spotlight_export.export import export_backbone
 from spotlight_export.folder import new_model_folder, read_model
-from spotlight_runtime.models import ModelFolder, open_networks
+from spotlight_runtime.networks.models import ModelFolder, open_networks
 from spotlight_spec import MANIFEST_NAME, Manifest
 
 

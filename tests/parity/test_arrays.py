@@ -11,7 +11,7 @@ from oracle.loop import Branch, Fidelity
 from oracle.networks import Backbone
 
 from spotlight_runtime import LoopInputs, Relighter, RelightOptions, Scene
-from spotlight_runtime.noise import gaussian
+from spotlight_runtime.diffusion.noise import gaussian
 from spotlight_spec import BackboneSpec
 
 from .bridge import object_on_latents, oracle_branch

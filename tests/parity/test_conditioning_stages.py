@@ -11,8 +11,9 @@ from oracle import conditioning as method
 from oracle.masks import square_dilation
 from support.scenes import make_scene
 
-from spotlight_runtime import Intrinsics, Scene, conditioning
-from spotlight_runtime.preparation import prepare
+from spotlight_runtime import Intrinsics, Scene
+from spotlight_runtime.diffusion import conditioning
+from spotlight_runtime.relighting.preparation import prepare
 from spotlight_spec import BACKBONES
 
 from .awkward import IMAGE_SIZES, MASKS, mask_named

@@ -10,7 +10,7 @@ from oracle.guidance import masked_guidance, rescaled_guidance
 from oracle.loop import blended
 from oracle.schedule import noised
 
-from spotlight_runtime import blending, guidance
+from spotlight_runtime.diffusion import blending, guidance
 
 from .awkward import IMAGE_SIZES, MASKS, mask_named
 from .bridge import tensor

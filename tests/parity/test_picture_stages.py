@@ -11,7 +11,9 @@ from oracle import composite as method
 from oracle.conditioning import for_encoder
 from oracle.networks import Backbone
 
-from spotlight_runtime import codec, colour, composite
+from spotlight_runtime.imaging import colour
+from spotlight_runtime.networks import codec
+from spotlight_runtime.relighting import composite
 from spotlight_spec import BackboneSpec
 
 from .awkward import MASKS, mask_named

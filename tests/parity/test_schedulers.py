@@ -13,8 +13,8 @@ import torch
 from diffusers import DDIMScheduler, DPMSolverMultistepScheduler, UniPCMultistepScheduler
 from oracle import schedule as method
 
-from spotlight_runtime.schedule import Schedule, alphas_cumprod
-from spotlight_runtime.solvers import make_solver
+from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
+from spotlight_runtime.diffusion.solvers import make_solver
 from spotlight_spec import ScheduleSpec
 
 from .measure import Tolerance, assert_within

@@ -3,7 +3,7 @@
 import numpy as np
 
 from spotlight_runtime import Scene
-from spotlight_runtime.scene import MAP_NAMES
+from spotlight_runtime.scenes.scene import MAP_NAMES
 
 
 def arrays_of(scene: Scene) -> dict[str, np.ndarray]:

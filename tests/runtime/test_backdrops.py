@@ -7,7 +7,7 @@ import pytest
 from support.rooms import HEIGHT, PITCH, room
 
 from spotlight_runtime import write_image
-from spotlight_runtime.backdrop import build_backdrop, combine_maps, read_map
+from spotlight_runtime.composing.backdrop import build_backdrop, combine_maps, read_map
 from spotlight_runtime.errors import (
     GroundError,
     InvalidInputError,
@@ -15,7 +15,7 @@ from spotlight_runtime.errors import (
     NonFiniteError,
     ShapeError,
 )
-from spotlight_runtime.scene import Intrinsics
+from spotlight_runtime.scenes.scene import Intrinsics
 
 ROOM = room()
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.scenes import make_scene
 
-from spotlight_runtime.camera import Camera
 from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.geometry.camera import Camera
 
 cameras = st.builds(
     Camera, st.integers(1, 40), st.integers(1, 40), st.floats(5, 150, allow_nan=False)

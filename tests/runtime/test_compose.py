@@ -9,18 +9,18 @@ from support.rooms import room
 
 from runtime.scene_comparison import arrays_of
 from spotlight_runtime import Intrinsics, Scene
-from spotlight_runtime.conditioning import align_depth, conditioning_array
-from spotlight_runtime.cutout import Cutout
+from spotlight_runtime.composing.cutout import Cutout
+from spotlight_runtime.composing.materials import Material
+from spotlight_runtime.composing.photograph import Photograph
+from spotlight_runtime.composing.posing import Placement
+from spotlight_runtime.composing.product import Piece, assemble
+from spotlight_runtime.diffusion.conditioning import align_depth, conditioning_array
 from spotlight_runtime.errors import GroundError, PlacementError
-from spotlight_runtime.materials import Material
-from spotlight_runtime.photograph import Photograph
-from spotlight_runtime.posing import Placement
-from spotlight_runtime.product import Piece, assemble
 from spotlight_spec import BACKBONES
 
 pytest.importorskip("embreex", reason="ray casting needs the extra scene")
 
-from spotlight_runtime.compose import compose, draft
+from spotlight_runtime.composing.compose import compose, draft
 
 RED = Material(base_colour=(0.7, 0.1, 0.1, 1.0))
 BACKDROP = room(240, 180)
@@ -75,7 +75,7 @@ def test_object_stands_on_the_floor_where_it_was_put(scene):
 
 
 def test_mesh_and_maps_agree(scene):
-    from spotlight_runtime.gbuffer import image_box
+    from spotlight_runtime.composing.gbuffer import image_box
 
     top, bottom, left, right = image_box(scene.object_mesh.vertices, scene.camera)
     covered = scene.object_mask > 0.0

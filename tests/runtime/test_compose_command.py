@@ -10,7 +10,7 @@ from support.rooms import room
 
 from spotlight_runtime import Scene, read_image, write_image
 from spotlight_runtime.cli import main
-from spotlight_runtime.colour import linear_to_srgb
+from spotlight_runtime.imaging.colour import linear_to_srgb
 
 pytest.importorskip("embreex", reason="ray casting needs the extra scene")
 

@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from spotlight_runtime.composite import (
+from spotlight_runtime.diffusion.conditioning import dilate
+from spotlight_runtime.relighting.composite import (
     colour_balance,
     compose_picture,
     limit_to_region,
     shadow_ratio,
 )
-from spotlight_runtime.conditioning import dilate
 
 PIXELS = st.floats(0.0, 1.0, width=32)
 PICTURES = arrays.arrays(np.float32, (6, 7, 3), elements=PIXELS)

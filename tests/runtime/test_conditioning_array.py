@@ -11,7 +11,7 @@ from support.scenes import make_scene, make_shadow
 
 from runtime.scene_comparison import arrays_of
 from spotlight_runtime import Intrinsics
-from spotlight_runtime.conditioning import (
+from spotlight_runtime.diffusion.conditioning import (
     composite_maps,
     conditioning_array,
     dilate,

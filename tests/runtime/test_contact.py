@@ -8,15 +8,15 @@ import pytest
 from support.models import box_arrays
 from support.rooms import HEIGHT, room
 
-from spotlight_runtime.materials import Material
-from spotlight_runtime.posing import Placement
-from spotlight_runtime.product import Piece, assemble
+from spotlight_runtime.composing.materials import Material
+from spotlight_runtime.composing.posing import Placement
+from spotlight_runtime.composing.product import Piece, assemble
 
 pytest.importorskip("embreex", reason="ray casting needs the extra scene")
 
-from spotlight_runtime.contact import footprint_depth, visible_share
-from spotlight_runtime.gbuffer import render_gbuffer
-from spotlight_runtime.posing import pose_product
+from spotlight_runtime.composing.contact import footprint_depth, visible_share
+from spotlight_runtime.composing.gbuffer import render_gbuffer
+from spotlight_runtime.composing.posing import pose_product
 
 BACKDROP = room(240, 180)
 CAMERA, GROUND = BACKDROP.photograph.camera, BACKDROP.ground

@@ -7,7 +7,9 @@ import pytest
 from support.rooms import room
 
 from spotlight_runtime import write_image
-from spotlight_runtime.cutout import Cutout, estimate_cutout, paste_cutout, read_cutout
+from spotlight_runtime.composing.cutout import Cutout, estimate_cutout, paste_cutout, read_cutout
+from spotlight_runtime.composing.photograph import Photograph
+from spotlight_runtime.composing.posing import Placement, floor_point
 from spotlight_runtime.errors import (
     ImageFileError,
     InvalidInputError,
@@ -15,9 +17,7 @@ from spotlight_runtime.errors import (
     PlacementError,
     ProductError,
 )
-from spotlight_runtime.photograph import Photograph
-from spotlight_runtime.posing import Placement, floor_point
-from spotlight_runtime.scene import Intrinsics
+from spotlight_runtime.scenes.scene import Intrinsics
 
 BACKDROP = room(240, 180)
 CAMERA, GROUND = BACKDROP.photograph.camera, BACKDROP.ground

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spotlight_runtime.denoise import denoise, denoiser_available
 from spotlight_runtime.errors import MissingExtraError
+from spotlight_runtime.imaging.denoise import denoise, denoiser_available
 
 installed = pytest.mark.skipif(not denoiser_available(), reason="needs the extra 'denoise'")
 
@@ -98,7 +98,7 @@ def test_denoising_does_not_bring_torch_along():
     script = """
         import sys
         import numpy as np
-        from spotlight_runtime.denoise import denoise
+        from spotlight_runtime.imaging.denoise import denoise
 
         denoise(np.zeros((16, 16, 3), np.float32))
         assert "torch" not in sys.modules, sorted(sys.modules)
@@ -120,7 +120,7 @@ def test_torch_that_is_already_there_stays():
         import sys, types
         import numpy as np
         torch = sys.modules["torch"] = types.ModuleType("torch")
-        from spotlight_runtime.denoise import denoise
+        from spotlight_runtime.imaging.denoise import denoise
 
         denoise(np.zeros((16, 16, 3), np.float32))
         assert sys.modules["torch"] is torch

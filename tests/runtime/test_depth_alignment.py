@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spotlight_runtime.conditioning import align_depth
+from spotlight_runtime.diffusion.conditioning import align_depth
 
 SIZE = (6, 8)
 FULL = np.ones(SIZE, np.float32)

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from support.rooms import oracle_network, room
 
+from spotlight_runtime.composing.estimator import (
+    MULTIPLE,
+    WORKING_SIDE,
+    estimate_intrinsics,
+    estimate_small,
+)
+from spotlight_runtime.composing.photograph import Photograph
 from spotlight_runtime.errors import NumericalError
-from spotlight_runtime.estimator import MULTIPLE, WORKING_SIDE, estimate_intrinsics, estimate_small
-from spotlight_runtime.photograph import Photograph
 
 
 def test_network_is_asked_for_what_its_contract_says():

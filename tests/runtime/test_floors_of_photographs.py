@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 from support.rooms import HEIGHT, oracle_network, room, room_ground
 
-from spotlight_runtime.backdrop import CAMERA_HEIGHT, build_backdrop
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.estimator import estimate_intrinsics
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.photograph import Photograph, crop_panorama, expose, read_photograph
-from spotlight_runtime.settling import settle
-from spotlight_runtime.verticals import up_from_verticals
+from spotlight_runtime.composing.backdrop import CAMERA_HEIGHT, build_backdrop
+from spotlight_runtime.composing.estimator import estimate_intrinsics
+from spotlight_runtime.composing.photograph import (
+    Photograph,
+    crop_panorama,
+    expose,
+    read_photograph,
+)
+from spotlight_runtime.composing.settling import settle
+from spotlight_runtime.composing.verticals import up_from_verticals
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground
 
 REAL = Path(__file__).parents[2].parent / "shared/real"
 

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.models import QUAD, QUAD_FACES, QUAD_UV, box_arrays, sphere_arrays
 
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.materials import Material, make_texture
-from spotlight_runtime.product import Piece, assemble
+from spotlight_runtime.composing.materials import Material, make_texture
+from spotlight_runtime.composing.product import Piece, assemble
+from spotlight_runtime.geometry.camera import Camera
 
 pytest.importorskip("embreex", reason="ray casting needs the extra scene")
 
-from spotlight_runtime.gbuffer import render_gbuffer
+from spotlight_runtime.composing.gbuffer import render_gbuffer
 
 CAMERA = Camera(160, 120, 50.0)
 PLAIN = Material(base_colour=(0.5, 0.25, 0.1, 1.0), roughness=0.6, metallic=0.3)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.shadow_scenes import floor, floor_depth
 
-from spotlight_runtime.camera import Camera
 from spotlight_runtime.errors import GroundError, InvalidInputError
-from spotlight_runtime.ground import Ground, fit_ground, ground_from_clicks, normals_of
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground, fit_ground, ground_from_clicks, normals_of
 
 CAMERA = Camera(96, 64, 60.0)
 

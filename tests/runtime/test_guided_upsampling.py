@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spotlight_runtime.upsampling import fit_guided, magnify_rows
-from spotlight_runtime.window import shrink
+from spotlight_runtime.imaging.upsampling import fit_guided, magnify_rows
+from spotlight_runtime.relighting.window import shrink
 
 
 def fitted(values, weights, guide, **extra):

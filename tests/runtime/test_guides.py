@@ -10,9 +10,9 @@ from support.scenes import make_scene, make_shadow
 from support.shadow_scenes import ball_scene
 
 from spotlight_runtime import GuidingShadow, Light
-from spotlight_runtime.casting import MOST_PIXELS, megapixel
 from spotlight_runtime.errors import DtypeError, InvalidInputError, ShadowWarning, ShapeError
-from spotlight_runtime.guides import guiding_shadows
+from spotlight_runtime.relighting.casting import MOST_PIXELS, megapixel
+from spotlight_runtime.relighting.guides import guiding_shadows
 
 SIDE = Light(azimuth=0.0, elevation=40.0)
 BEHIND = Light(azimuth=90.0, elevation=40.0)
@@ -146,7 +146,7 @@ def test_more_is_cast_on_a_megapixel_of_the_same_geometry(large):
 
 
 def test_a_large_shadow_is_the_small_one_magnified_without_a_hole(large):
-    from spotlight_runtime.shadow import cast_shadow
+    from spotlight_runtime.shadows.shadow import cast_shadow
 
     (guide,) = guiding_shadows(large, SIDE, "none")
     exact = cast_shadow(large, SIDE)

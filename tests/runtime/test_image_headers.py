@@ -13,7 +13,7 @@ from support.pictures import exif, jpeg_with_exif
 
 from spotlight_runtime import read_image, write_image
 from spotlight_runtime.errors import ImageFileError
-from spotlight_runtime.headers import MAX_PIXELS, ImageHeader, check_header, read_header
+from spotlight_runtime.imaging.headers import MAX_PIXELS, ImageHeader, check_header, read_header
 
 
 def png_claiming(width, height):

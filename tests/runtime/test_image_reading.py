@@ -10,7 +10,7 @@ import pytest
 
 from spotlight_runtime import read_image, write_image
 from spotlight_runtime.errors import ImageFileError
-from spotlight_runtime.images import read_exr_layers, write_exr_layers
+from spotlight_runtime.imaging.images import read_exr_layers, write_exr_layers
 
 FORMATS = [".png", ".jpg", ".webp", ".hdr", ".exr"]
 

@@ -11,7 +11,7 @@ import pytest
 
 from spotlight_runtime import read_image, write_image
 from spotlight_runtime.errors import ImageFileError, InvalidInputError, SpotLightError
-from spotlight_runtime.images import encode_png, read_exr_layers, write_exr_layers
+from spotlight_runtime.imaging.images import encode_png, read_exr_layers, write_exr_layers
 
 FORMATS = [".png", ".jpg", ".webp", ".hdr", ".exr"]
 IMAGE = np.full((8, 8, 3), 0.5, np.float32)

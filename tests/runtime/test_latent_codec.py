@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.onnx_backbone import tiny_spec
 
-from spotlight_runtime.codec import decode_latents, encode_conditioning, encode_image
 from spotlight_runtime.errors import NumericalError
+from spotlight_runtime.networks.codec import decode_latents, encode_conditioning, encode_image
 
 SPEC = tiny_spec()
 SCALE = np.float32(SPEC.latent.scaling_factor)

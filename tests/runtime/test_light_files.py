@@ -8,8 +8,8 @@ from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import GuidingShadow, Light, write_image
 from spotlight_runtime.errors import ImageFileError, InvalidInputError
-from spotlight_runtime.lights_file import read_lights
-from spotlight_runtime.shadow_files import (
+from spotlight_runtime.relighting.lights_file import read_lights
+from spotlight_runtime.relighting.shadow_files import (
     read_drawing,
     read_ready_shadow,
     read_shadow,

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import GuidingShadow
-from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.mixing import Mix
+from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
+from spotlight_runtime.relighting.mixing import Mix
 
 SHADOW = np.zeros((4, 4), np.float32)
 

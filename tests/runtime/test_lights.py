@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from support import shadow_scenes as known
 
 from spotlight_runtime.errors import InvalidInputError, LightError
-from spotlight_runtime.lights import Light
-from spotlight_runtime.placement import box_of, place_light
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.shadows.placement import box_of, place_light
 
 GROUND = known.floor()
 CENTRE = known.ball_centre(GROUND)

@@ -9,17 +9,17 @@ from support.scenes import make_scene
 
 from runtime.scene_comparison import arrays_of
 from spotlight_runtime import Scene, write_image
-from spotlight_runtime.bundle import save_bundle
-from spotlight_runtime.colour import decode_to_linear, stored_to_linear
+from spotlight_runtime.composing.photograph import read_photograph
 from spotlight_runtime.errors import ShapeError
-from spotlight_runtime.map_files import (
+from spotlight_runtime.imaging.colour import decode_to_linear, stored_to_linear
+from spotlight_runtime.scenes.bundle import save_bundle
+from spotlight_runtime.scenes.map_files import (
     MapFile,
     covered_box,
     read_map_file,
     write_part,
     write_reduced,
 )
-from spotlight_runtime.photograph import read_photograph
 
 LARGE = (1100, 1000)
 

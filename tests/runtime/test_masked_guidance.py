@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from spotlight_runtime.guidance import masked_guidance, rescale_guidance
+from spotlight_runtime.diffusion.guidance import masked_guidance, rescale_guidance
 
 SHAPE = (1, 4, 3, 5)
 VALUES = st.floats(-10.0, 10.0, width=32)

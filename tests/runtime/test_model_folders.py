@@ -11,7 +11,7 @@ from support.onnx_backbone import tiny_spec, write_backbone
 
 from spotlight_runtime import Relighter
 from spotlight_runtime.errors import ModelError, ModelIntegrityError, UnknownModelError
-from spotlight_runtime.models import find_models, open_networks, resolve_model
+from spotlight_runtime.networks.models import find_models, open_networks, resolve_model
 from spotlight_spec import MANIFEST_NAME, Manifest, ParityRow, Source, write_json
 
 

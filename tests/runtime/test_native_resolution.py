@@ -12,14 +12,14 @@ from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import GuidingShadow, Intrinsics, RelightOptions
-from spotlight_runtime.canvas import Canvas
-from spotlight_runtime.colour import linear_to_gamma22, linear_to_srgb
-from spotlight_runtime.layers import SOFT_BORDER, window_layer
-from spotlight_runtime.mixing import Mix
-from spotlight_runtime.passes import layer
-from spotlight_runtime.preparation import prepare_window
-from spotlight_runtime.putback import put_back
-from spotlight_runtime.window import Window, look, shrink
+from spotlight_runtime.imaging.colour import linear_to_gamma22, linear_to_srgb
+from spotlight_runtime.relighting.canvas import Canvas
+from spotlight_runtime.relighting.layers import SOFT_BORDER, window_layer
+from spotlight_runtime.relighting.mixing import Mix
+from spotlight_runtime.relighting.passes import layer
+from spotlight_runtime.relighting.preparation import prepare_window
+from spotlight_runtime.relighting.putback import put_back
+from spotlight_runtime.relighting.window import Window, look, shrink
 
 SPEC = replace(tiny_spec(), image_encoding="gamma22")
 DARKNESS = 0.6
@@ -326,7 +326,7 @@ def test_twelve_megapixels_fit_in_one_and_a_half_gigabytes(tmp_path, capsys):
     import json
 
     from spotlight_runtime import Scene, read_image, write_image
-    from spotlight_runtime.models import find_models
+    from spotlight_runtime.networks.models import find_models
 
     here = [m for m in find_models() if m.manifest.backbone.name == "mini"]
     model = here[0].path if here else write_backbone(tmp_path / "tiny", tiny_spec("mini"))

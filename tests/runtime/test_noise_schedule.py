@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spotlight_runtime.diffusion.schedule import MULTISTEP_TERMINAL_ALPHA, Schedule, alphas_cumprod
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.schedule import MULTISTEP_TERMINAL_ALPHA, Schedule, alphas_cumprod
 from spotlight_spec import ScheduleSpec
 
 SPEC = ScheduleSpec()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spotlight_runtime.diffusion.noise import MAX_SEED, gaussian
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.noise import MAX_SEED, gaussian
 
 SHAPE = (1, 4, 8, 8)
 STREAMS = ["initial", "posterior", "step"]

@@ -18,8 +18,8 @@ from spotlight_runtime.errors import (
     ShapeError,
     UnsafePathError,
 )
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.mesh import ObjectMesh
+from spotlight_runtime.geometry.ground import Ground
+from spotlight_runtime.geometry.mesh import ObjectMesh
 
 MESH = sphere_mesh((0.1, -0.2, -3.0), 0.5, rings=12)
 NPZ = "object_mesh.npz"
@@ -160,7 +160,7 @@ def test_damaged_model_files_are_scene_errors(bundle, name):
 
 
 def test_a_bomb_is_refused_before_it_unpacks(bundle, monkeypatch):
-    monkeypatch.setattr("spotlight_runtime.mesh_files.MAX_MESH_BYTES", 1000)
+    monkeypatch.setattr("spotlight_runtime.geometry.mesh_files.MAX_MESH_BYTES", 1000)
     with pytest.raises(SceneError, match="more than the limit of 1000"):
         Scene.load(bundle)
 

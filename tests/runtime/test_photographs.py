@@ -7,21 +7,21 @@ import pytest
 from support.pictures import exif, jpeg_with_exif
 
 from spotlight_runtime import write_image
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.colour import srgb_to_linear
-from spotlight_runtime.errors import (
-    ImageFileError,
-    InvalidInputError,
-    NonFiniteError,
-    ShapeError,
-)
-from spotlight_runtime.photograph import (
+from spotlight_runtime.composing.photograph import (
     Photograph,
     crop_panorama,
     expose,
     horizon_of,
     read_photograph,
 )
+from spotlight_runtime.errors import (
+    ImageFileError,
+    InvalidInputError,
+    NonFiniteError,
+    ShapeError,
+)
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.imaging.colour import srgb_to_linear
 
 
 def test_encoded_picture_becomes_linear_light(tmp_path, rng):

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from support.models import box_arrays
 from support.rooms import room_ground
 
-from spotlight_runtime.camera import Camera
+from spotlight_runtime.composing.materials import Material
+from spotlight_runtime.composing.posing import Placement, floor_point, pose_product, scaling
+from spotlight_runtime.composing.product import Piece, assemble
 from spotlight_runtime.errors import GroundError, InvalidInputError, PlacementError
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.materials import Material
-from spotlight_runtime.posing import Placement, floor_point, pose_product, scaling
-from spotlight_runtime.product import Piece, assemble
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground
 
 CAMERA = Camera(400, 300, 60.0)
 

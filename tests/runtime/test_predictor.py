@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spotlight_runtime.diffusion.schedule import alphas_cumprod
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.models import open_networks, predictor, resolve_model
-from spotlight_runtime.schedule import alphas_cumprod
+from spotlight_runtime.networks.models import open_networks, predictor, resolve_model
 from spotlight_spec import ScheduleSpec
 
 SPEC = ScheduleSpec()

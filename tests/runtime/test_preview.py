@@ -8,9 +8,9 @@ from support.scenes import make_scene, make_shadow
 from support.shadow_scenes import ball_scene
 
 from spotlight_runtime import GuidingShadow, Light
-from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
 from spotlight_runtime.errors import InvalidInputError, ShapeError
-from spotlight_runtime.preview import OPACITY, preview, preview_each
+from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
+from spotlight_runtime.relighting.preview import OPACITY, preview, preview_each
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_lit_side_faces_the_light():
 
 def test_a_light_in_the_cameras_frame_is_seen_from_where_the_object_is():
     """Also where no mesh says where that is."""
-    from spotlight_runtime.preview import _towards
+    from spotlight_runtime.relighting.preview import _towards
 
     scene = make_scene(64, 96)
     light = Light(position=(0.0, 3.0, -2.9), frame="camera")

@@ -19,6 +19,7 @@ from support.models import (
     write_box,
 )
 
+from spotlight_runtime.composing.product import assemble, smooth_normals, weld
 from spotlight_runtime.errors import (
     ImageFileError,
     InvalidInputError,
@@ -27,13 +28,12 @@ from spotlight_runtime.errors import (
     SpotLightError,
     UnsafePathError,
 )
-from spotlight_runtime.product import assemble, smooth_normals, weld
 
 pytest.importorskip("embreex", reason="products need the extra scene")
 pytest.importorskip("trimesh", reason="products need the extra scene")
 
-from spotlight_runtime import product_files
-from spotlight_runtime.product_files import load_product
+from spotlight_runtime.composing import product_files
+from spotlight_runtime.composing.product_files import load_product
 
 
 def corners(product):
@@ -624,7 +624,7 @@ def test_glb_of_another_version_and_without_json(tmp_path):
 
 
 def test_too_many_triangles(monkeypatch, tmp_path):
-    monkeypatch.setattr("spotlight_runtime.product.MAX_TRIANGLES", 5)
+    monkeypatch.setattr("spotlight_runtime.composing.product.MAX_TRIANGLES", 5)
     with pytest.raises(ProductError, match=r"at most 5 triangles, got 12; decimate"):
         load_product(write_box(tmp_path / "a.glb"))
 

@@ -7,8 +7,8 @@ from support.scenes import make_scene
 from runtime.scene_comparison import assert_same_scene
 from spotlight_runtime import Scene, write_image
 from spotlight_runtime.errors import ImageFileError, SceneError, ShapeError, SpotLightError
-from spotlight_runtime.images import write_exr_layers
-from spotlight_runtime.testset import bundle_file, load_published
+from spotlight_runtime.imaging.images import write_exr_layers
+from spotlight_runtime.scenes.testset import bundle_file, load_published
 
 NAME = "room_chair_01"
 QUANTUM = 0.5 / 255 + 1e-6

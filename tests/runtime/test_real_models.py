@@ -9,13 +9,13 @@ import pytest
 from support.rooms import room
 
 from spotlight_runtime import Scene
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.compose import compose
+from spotlight_runtime.composing.compose import compose
+from spotlight_runtime.composing.gbuffer import render_gbuffer
+from spotlight_runtime.composing.posing import Placement, pose_product
+from spotlight_runtime.composing.product_files import load_product
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.gbuffer import render_gbuffer
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.posing import Placement, pose_product
-from spotlight_runtime.product_files import load_product
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground
 
 REAL = Path(__file__).parents[2].parent / "shared/real"
 MODELS = sorted(REAL.glob("models/*/*.gltf"))

@@ -9,8 +9,8 @@ import pytest
 
 from runtime.scene_comparison import arrays_of
 from spotlight_runtime import Scene, read_image
-from spotlight_runtime.colour import linear_to_srgb
-from spotlight_runtime.conditioning import align_depth, conditioning_array, masked_region
+from spotlight_runtime.diffusion.conditioning import align_depth, conditioning_array, masked_region
+from spotlight_runtime.imaging.colour import linear_to_srgb
 from spotlight_spec import BACKBONES
 
 TESTSET = Path(__file__).parents[2].parent / "shared/real/testset"

@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("embreex", reason="casting shadows needs the extra `scene`")
 
 from spotlight_runtime import Scene, read_image
-from spotlight_runtime.lights import Light
-from spotlight_runtime.shadow import ShadowCaster, floor_of
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.shadows.shadow import ShadowCaster, floor_of
 
 TESTSET = Path(__file__).parents[2].parent / "shared/real/testset"
 FOLDERS = sorted(p for p in TESTSET.glob("*") if p.is_dir())

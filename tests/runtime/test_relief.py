@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from support import shadow_scenes as known
 
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.lights import Light
-from spotlight_runtime.receiver import receiver_of
-from spotlight_runtime.relief import relief_mesh
-from spotlight_runtime.scene import Intrinsics
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.scenes.scene import Intrinsics
+from spotlight_runtime.shadows.receiver import receiver_of
+from spotlight_runtime.shadows.relief import relief_mesh
 
 
 def relief_of(scene):
@@ -60,7 +60,7 @@ def test_a_ball_s_relief_is_a_ball():
 @pytest.mark.parametrize("azimuth", [0, 45, 90, 135, 180, 225, 315])
 def test_its_shadow_is_close_to_the_mesh_s(azimuth):
     pytest.importorskip("embreex", reason="casting shadows needs the extra `scene`")
-    from spotlight_runtime.shadow import ShadowCaster
+    from spotlight_runtime.shadows.shadow import ShadowCaster
 
     scene = known.ball_scene(128)
     light = Light(azimuth, 40, radius=0.3)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from spotlight_runtime import Relighter, RelightOptions, Scene, read_image, write_image
 from spotlight_runtime.cli import app, main
 from spotlight_runtime.errors import SpotLightError
-from spotlight_runtime.images import write_exr_layers
+from spotlight_runtime.imaging.images import write_exr_layers
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from spotlight_runtime import GuidingShadow, Light, Relighter, Scene, read_image
 from spotlight_runtime.cli import app
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError, ShadowWarning, SpotLightError
-from spotlight_runtime.preview import preview
-from spotlight_runtime.sweep import CAPTION, GAP
+from spotlight_runtime.relighting.preview import preview
+from spotlight_runtime.relighting.sweep import CAPTION, GAP
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,7 @@ from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime import Intrinsics, Relighter, RelightOptions, Scene, Window
-from spotlight_runtime.colour import linear_to_srgb, srgb_to_linear
-from spotlight_runtime.conditioning import masked_region
+from spotlight_runtime.diffusion.conditioning import masked_region
 from spotlight_runtime.errors import (
     DtypeError,
     InvalidInputError,
@@ -22,8 +21,9 @@ from spotlight_runtime.errors import (
     NumericalError,
     ShapeError,
 )
-from spotlight_runtime.options import OptionChanges
-from spotlight_runtime.result import peak_memory_bytes
+from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
+from spotlight_runtime.relighting.options import OptionChanges
+from spotlight_runtime.relighting.result import peak_memory_bytes
 
 SIZES = [(64, 96), (61, 93), (8, 8), (7, 5), (1, 1), (3, 40)]
 

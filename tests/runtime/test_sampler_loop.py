@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spotlight_runtime.blending import add_noise, blend_shadow
+from spotlight_runtime.diffusion.blending import add_noise, blend_shadow
+from spotlight_runtime.diffusion.guidance import masked_guidance
+from spotlight_runtime.diffusion.sampler import LoopInputs, sample, shadow_guided
+from spotlight_runtime.diffusion.schedule import Schedule
+from spotlight_runtime.diffusion.solvers import DDIM, make_solver
 from spotlight_runtime.errors import NumericalError, ShapeError
-from spotlight_runtime.guidance import masked_guidance
-from spotlight_runtime.sampler import LoopInputs, sample, shadow_guided
-from spotlight_runtime.schedule import Schedule
-from spotlight_runtime.solvers import DDIM, make_solver
 from spotlight_spec import ScheduleSpec
 
 SPEC = ScheduleSpec()

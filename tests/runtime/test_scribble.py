@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spotlight_runtime.errors import InvalidInputError, NonFiniteError, ShapeError
-from spotlight_runtime.scribble import clean_scribble
+from spotlight_runtime.shadows.scribble import clean_scribble
 
 MASK = np.zeros((48, 64), np.float32)
 MASK[10:30, 25:40] = 1.0

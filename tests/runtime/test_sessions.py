@@ -19,7 +19,7 @@ from spotlight_runtime.errors import (
     ProviderError,
     SpotLightError,
 )
-from spotlight_runtime.sessions import OnnxGraph, available_cpus, open_graph
+from spotlight_runtime.networks.sessions import OnnxGraph, available_cpus, open_graph
 
 ONES = np.ones((1, 4, 2, 3), np.float32)
 
@@ -112,7 +112,7 @@ def test_denormals_are_kept_everywhere_else(tmp_path):
         from runtime.small_graphs import contract, write_product
         from runtime.test_sessions import ONES, TINY, underflow
         from spotlight_runtime.errors import ModelError
-        from spotlight_runtime.sessions import open_graph
+        from spotlight_runtime.networks.sessions import open_graph
 
         def kept():
             assert TINY * TINY > 0.0

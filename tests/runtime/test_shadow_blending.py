@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from spotlight_runtime.blending import (
+from spotlight_runtime.diffusion.blending import (
     add_noise,
     blend_shadow,
     downsample_antialiased,

@@ -8,8 +8,8 @@ pytest.importorskip("embreex", reason="casting shadows needs the extra `scene`")
 import cv2
 from support import shadow_scenes as known
 
-from spotlight_runtime.lights import Light
-from spotlight_runtime.shadow import cast_shadow
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.shadows.shadow import cast_shadow
 
 SIZE = 2 * known.RADIUS
 """The object size that radius and distance count in."""

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from support import shadow_scenes as known
 
 from spotlight_runtime.errors import GroundError, InvalidInputError, LightError, ShadowWarning
-from spotlight_runtime.lights import Light
-from spotlight_runtime.mesh import ObjectMesh
-from spotlight_runtime.placement import box_of, place_light
-from spotlight_runtime.reach import reachable
-from spotlight_runtime.receiver import receiver_of
-from spotlight_runtime.scene import Intrinsics
-from spotlight_runtime.shadow import ShadowCaster, cast_shadow, floor_of
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.geometry.mesh import ObjectMesh
+from spotlight_runtime.scenes.scene import Intrinsics
+from spotlight_runtime.shadows.placement import box_of, place_light
+from spotlight_runtime.shadows.reach import reachable
+from spotlight_runtime.shadows.receiver import receiver_of
+from spotlight_runtime.shadows.shadow import ShadowCaster, cast_shadow, floor_of
 
 LIGHT = Light(135, 45, radius=0.5)
 lights = st.builds(
@@ -341,7 +341,7 @@ import importlib.util, sys
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name, *rest: None if name == "embreex" else find(name, *rest)
 from spotlight_runtime.errors import MissingExtraError
-from spotlight_runtime.shadow import ShadowCaster
+from spotlight_runtime.shadows.shadow import ShadowCaster
 try:
     ShadowCaster(None)
 except MissingExtraError as error:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
+from spotlight_runtime.diffusion.solvers import SOLVERS, DPMSolverPP, UniPC, make_solver
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.schedule import Schedule, alphas_cumprod
-from spotlight_runtime.solvers import SOLVERS, DPMSolverPP, UniPC, make_solver
 from spotlight_spec import ScheduleSpec
 
 SPEC = ScheduleSpec(set_alpha_to_one=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spotlight_runtime.errors import InvalidInputError, MissingExtraError
-from spotlight_runtime.sweep import (
+from spotlight_runtime.relighting.sweep import (
     CAPTION,
     GAP,
     TILE_SIDE,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from spotlight_runtime.colour import srgb_to_linear
-from spotlight_runtime.materials import Material, decode_texture, make_texture, shade
+from spotlight_runtime.composing.materials import Material, decode_texture, make_texture, shade
+from spotlight_runtime.imaging.colour import srgb_to_linear
 
 NO_BLUR = np.zeros(1, np.float32)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from spotlight_runtime.colour import (
+from spotlight_runtime.imaging.colour import (
     decode_to_linear,
     encode_linear,
     gamma22_to_linear,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.scenes import make_scene, make_shadow
 
-from spotlight_runtime.window import (
+from spotlight_runtime.relighting.window import (
     LARGEST_OBJECT,
     MARGIN,
     Window,

@@ -8,8 +8,9 @@ import pytest
 from support.scenes import make_scene
 
 from runtime.scene_comparison import assert_same_scene
-from spotlight_runtime import Scene, bundle
+from spotlight_runtime import Scene
 from spotlight_runtime.errors import SceneError, SpotLightError, UnsafePathError
+from spotlight_runtime.scenes import bundle
 
 
 @pytest.fixture

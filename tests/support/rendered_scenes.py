@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from spotlight_runtime import Intrinsics, Scene
-from spotlight_runtime.lights import Light
-from spotlight_runtime.mesh import ObjectMesh
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.geometry.mesh import ObjectMesh
 from spotlight_training.render.assemble import item_shape
 from spotlight_training.render.description import camera_axes
 from spotlight_training.render.record import SceneRecord

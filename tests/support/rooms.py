@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from spotlight_runtime.backdrop import Backdrop
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.photograph import Photograph
-from spotlight_runtime.scene import Intrinsics
+from spotlight_runtime.composing.backdrop import Backdrop
+from spotlight_runtime.composing.photograph import Photograph
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground
+from spotlight_runtime.scenes.scene import Intrinsics
 
 HEIGHT, PITCH, WALL = 1.5, 15.0, 6.0
 """Of the camera above the floor, how many degrees it looks down, and how far the wall is."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from spotlight_runtime import Intrinsics, Scene
-from spotlight_runtime.camera import Camera
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.mesh import ObjectMesh
+from spotlight_runtime.geometry.camera import Camera
+from spotlight_runtime.geometry.ground import Ground
+from spotlight_runtime.geometry.mesh import ObjectMesh
 
 HEIGHT, PITCH, AWAY, RADIUS = 1.5, 25.0, 2.6, 0.4
 """Of the camera above the floor, degrees it looks down, the ball's distance and radius (metres)."""

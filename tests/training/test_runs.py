@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch", reason="needs the training extra")
 from support.scenes import make_scene, make_shadow  # noqa: E402
 
 from spotlight_runtime import Relighter, RelightOptions  # noqa: E402
-from spotlight_runtime.models import open_networks, resolve_model  # noqa: E402
+from spotlight_runtime.networks.models import open_networks, resolve_model  # noqa: E402
 from spotlight_training import runs  # noqa: E402
 from spotlight_training.data import SIDE, IntrinsicsData, Packed, RendererData, draw_picture  # noqa: E402
 from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402

@@ -23,8 +23,8 @@ except RendererUnavailableError as error:
 
 from support.rendered_scenes import light_of, render_records, scene_of
 
-from spotlight_runtime.placement import box_of
-from spotlight_runtime.shadow import ShadowCaster, floor_of
+from spotlight_runtime.shadows.placement import box_of
+from spotlight_runtime.shadows.shadow import ShadowCaster, floor_of
 from spotlight_training.render.record import SUFFIX, SceneRecord
 
 SCENES = 20

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from spotlight_runtime.conditioning import stack_maps
+from spotlight_runtime.diffusion.conditioning import stack_maps
 from spotlight_spec import BackboneSpec
 from spotlight_training.masks import random_mask
 

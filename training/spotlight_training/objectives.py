@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from spotlight_runtime.sampler import sample
-from spotlight_runtime.schedule import Schedule, alphas_cumprod
-from spotlight_runtime.solvers import make_solver
+from spotlight_runtime.diffusion.sampler import sample
+from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
+from spotlight_runtime.diffusion.solvers import make_solver
 from spotlight_spec import BackboneSpec
 from spotlight_training.networks import VAE, ConditionEncoder, Denoiser
 

@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional
 
-from spotlight_runtime.schedule import alphas_cumprod
+from spotlight_runtime.diffusion.schedule import alphas_cumprod
 from spotlight_spec import BACKBONES, BackboneSpec
 from spotlight_training.data import IntrinsicsData, Packed, PictureData, RendererData
 from spotlight_training.loop import TrainingOptions, train

@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import typer
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.backdrop import (
+from spotlight_runtime.composing.backdrop import (
     CAMERA_HEIGHT,
     NEEDED,
     Backdrop,
@@ -19,27 +19,27 @@ from spotlight_runtime.backdrop import (
     combine_maps,
     read_map,
 )
-from spotlight_runtime.bundle import save_bundle
-from spotlight_runtime.camera import DEFAULT_FIELD_OF_VIEW, Camera
-from spotlight_runtime.compose import compose as compose_scene
-from spotlight_runtime.compose import draft
-from spotlight_runtime.cutout import Cutout, estimate_cutout, read_cutout
-from spotlight_runtime.errors import InvalidInputError, MissingMapError
-from spotlight_runtime.estimator import DETAIL_SIDE, estimate_intrinsics
-from spotlight_runtime.images import check_target, write_image
-from spotlight_runtime.models import open_networks, resolve_model
-from spotlight_runtime.photograph import (
+from spotlight_runtime.composing.compose import compose as compose_scene
+from spotlight_runtime.composing.compose import draft
+from spotlight_runtime.composing.cutout import Cutout, estimate_cutout, read_cutout
+from spotlight_runtime.composing.estimator import DETAIL_SIDE, estimate_intrinsics
+from spotlight_runtime.composing.photograph import (
     Photograph,
     crop_panorama,
     expose,
     horizon_of,
     read_photograph,
 )
-from spotlight_runtime.posing import Placement
-from spotlight_runtime.product import Product
-from spotlight_runtime.product_files import PRODUCT_SUFFIXES, load_product
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.sessions import Network
+from spotlight_runtime.composing.posing import Placement
+from spotlight_runtime.composing.product import Product
+from spotlight_runtime.composing.product_files import PRODUCT_SUFFIXES, load_product
+from spotlight_runtime.errors import InvalidInputError, MissingMapError
+from spotlight_runtime.geometry.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from spotlight_runtime.imaging.images import check_target, write_image
+from spotlight_runtime.networks.models import open_networks, resolve_model
+from spotlight_runtime.networks.sessions import Network
+from spotlight_runtime.scenes.bundle import save_bundle
+from spotlight_runtime.scenes.scene import Scene
 
 __all__ = ["compose"]
 

@@ -12,10 +12,10 @@ from spotlight_runtime.cli.lighting import Asked, choose_lighting
 from spotlight_runtime.cli.pictures import relit, write_sheet
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.images import check_target
-from spotlight_runtime.options import RelightOptions
-from spotlight_runtime.relighter import Relighter
-from spotlight_runtime.scene import Scene
+from spotlight_runtime.imaging.images import check_target
+from spotlight_runtime.relighting.options import RelightOptions
+from spotlight_runtime.relighting.relighter import Relighter
+from spotlight_runtime.scenes.scene import Scene
 
 __all__ = ["demo"]
 

@@ -9,12 +9,12 @@ from typing import Final
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.guides import Guide, GuidingShadow, Negative
-from spotlight_runtime.lights import Light
-from spotlight_runtime.lights_file import read_lights
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.shadow_files import read_drawing, read_ready_shadow, ready_shadows
-from spotlight_runtime.sweep import ring
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.relighting.guides import Guide, GuidingShadow, Negative
+from spotlight_runtime.relighting.lights_file import read_lights
+from spotlight_runtime.relighting.shadow_files import read_drawing, read_ready_shadow, ready_shadows
+from spotlight_runtime.relighting.sweep import ring
+from spotlight_runtime.scenes.scene import Scene
 
 __all__ = ["Asked", "Lighting", "choose_lighting"]
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from spotlight_runtime.models import find_models
+from spotlight_runtime.networks.models import find_models
 
 __all__ = ["models"]
 

@@ -11,15 +11,15 @@ from typing import Any
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.cli.lighting import Lighting
 from spotlight_runtime.cli.progress import drained, progress_bars
-from spotlight_runtime.guides import GuidingShadow
-from spotlight_runtime.images import write_image
-from spotlight_runtime.mixing import Mix
-from spotlight_runtime.passes import Task
-from spotlight_runtime.preview import preview, preview_each
-from spotlight_runtime.relighter import Relighter
-from spotlight_runtime.result import RelightResult
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.sweep import Tile, contact_sheet, make_tile, write_animation
+from spotlight_runtime.imaging.images import write_image
+from spotlight_runtime.relighting.guides import GuidingShadow
+from spotlight_runtime.relighting.mixing import Mix
+from spotlight_runtime.relighting.passes import Task
+from spotlight_runtime.relighting.preview import preview, preview_each
+from spotlight_runtime.relighting.relighter import Relighter
+from spotlight_runtime.relighting.result import RelightResult
+from spotlight_runtime.relighting.sweep import Tile, contact_sheet, make_tile, write_animation
+from spotlight_runtime.scenes.scene import Scene
 
 __all__ = ["Picture", "relit", "shadow_of", "sketches", "write_sheet"]
 

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bars
 
 from spotlight_runtime.errors import ShadowWarning
-from spotlight_runtime.result import Progress
+from spotlight_runtime.relighting.result import Progress
 
 __all__ = ["drained", "notices", "progress_bars"]
 

@@ -12,11 +12,11 @@ from spotlight_runtime.cli.lighting import Asked, choose_lighting
 from spotlight_runtime.cli.pictures import relit, shadow_of, sketches, write_sheet
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.images import check_target, write_image
-from spotlight_runtime.options import RelightOptions
-from spotlight_runtime.relighter import Relighter
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.sweep import check_animation
+from spotlight_runtime.imaging.images import check_target, write_image
+from spotlight_runtime.relighting.options import RelightOptions
+from spotlight_runtime.relighting.relighter import Relighter
+from spotlight_runtime.relighting.sweep import check_animation
+from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import write_json
 
 __all__ = ["relight"]

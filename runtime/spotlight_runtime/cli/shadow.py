@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import typer
 
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.images import check_target, read_image, write_image
-from spotlight_runtime.lights import Light, Vector
-from spotlight_runtime.scene import Scene
-from spotlight_runtime.scribble import clean_scribble
-from spotlight_runtime.shadow import ShadowCaster
+from spotlight_runtime.geometry.lights import Light, Vector
+from spotlight_runtime.imaging.images import check_target, read_image, write_image
+from spotlight_runtime.scenes.scene import Scene
+from spotlight_runtime.shadows.scribble import clean_scribble
+from spotlight_runtime.shadows.shadow import ShadowCaster
 
 __all__ = ["shadow"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from spotlight_runtime import Intrinsics, Scene
-from spotlight_runtime.ground import Ground
-from spotlight_runtime.mesh import ObjectMesh
+from spotlight_runtime.geometry.ground import Ground
+from spotlight_runtime.geometry.mesh import ObjectMesh
 
 from .assemble import assemble
 from .description import SceneDescription, camera_axes

@@ -1,0 +1,1 @@
+"""The sampler and all it is made of: schedule, solvers, guidance, shadow blending."""

@@ -1,0 +1,1 @@
+"""Cameras, floors, meshes, lights and rays, in metres and radians."""

@@ -1,0 +1,1 @@
+"""Pictures in and out: headers, decoding, colour, denoising, guided upsampling."""

@@ -1,0 +1,216 @@
+"""Model folders: finding them, checking them, and presenting their graphs as networks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.diffusion.sampler import Predict
+from spotlight_runtime.diffusion.schedule import alphas_cumprod
+from spotlight_runtime.errors import (
+    InvalidInputError,
+    ModelIntegrityError,
+    UnknownModelError,
+)
+from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, Network, open_graph
+from spotlight_spec import MANIFEST_NAME, Manifest, RecordError, ScheduleSpec
+
+__all__ = [
+    "LazyNetworks",
+    "ModelFolder",
+    "find_models",
+    "open_networks",
+    "predictor",
+    "resolve_model",
+]
+
+
+SEARCH_PATH_VARIABLE: Final = "SPOTLIGHT_MODELS"
+_EMBEDDED: Final = Path(__file__).parents[1] / "backbones"
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFolder:
+    """A model on disk: its folder and what its manifest says."""
+
+    path: Path
+    manifest: Manifest
+
+    def summary(self) -> dict[str, Any]:
+        """Facts for tables and reports."""
+        return {
+            "name": self.path.name,
+            "backbone": self.manifest.backbone.name,
+            "precision": self.manifest.precision,
+            "layout": self.manifest.layout,
+            "bytes": sum(entry.bytes for entry in self.manifest.files),
+            "source": self.manifest.source.base,
+            "fingerprint": self.manifest.source.fingerprint,
+            "worst_parity": max((row.max_rel for row in self.manifest.parity), default=None),
+        }
+
+
+def find_models() -> Iterator[ModelFolder]:
+    """Models that `resolve_model` knows by name, in order of preference.
+
+    Searched are the folders in ``SPOTLIGHT_MODELS`` (separated as in ``PATH``), ``models`` in the
+    working directory, and the backbones that came with the package. Folders whose manifest cannot
+    be read are left out.
+    """
+    roots = [Path(p) for p in os.environ.get(SEARCH_PATH_VARIABLE, "").split(os.pathsep) if p]
+    for root in (*roots, Path("models"), _EMBEDDED):
+        for manifest in sorted(root.glob(f"*/{MANIFEST_NAME}")):
+            try:
+                yield ModelFolder(manifest.parent, Manifest.read(manifest.parent))
+            except (RecordError, OSError):
+                continue
+
+
+def resolve_model(model: str | Path) -> ModelFolder:
+    """Find a model by folder or by name (of its folder, or of its backbone).
+
+    Raises
+    ------
+    UnknownModelError
+        If there is none; the message names those there are.
+    ModelIntegrityError
+        If the folder's manifest is malformed.
+    """
+    folder = Path(model)
+    if os.path.isfile(folder / MANIFEST_NAME):  # unlike Path.is_file, False for impossible names
+        try:
+            return ModelFolder(folder, Manifest.read(folder))
+        except RecordError as error:
+            raise ModelIntegrityError(f"{error}; export the model again") from error
+    known = list(find_models())
+    for candidate in known:
+        if str(model) in (candidate.path.name, candidate.manifest.backbone.name):
+            return candidate
+    names = ", ".join(candidate.path.name for candidate in known) or "none"
+    raise UnknownModelError(
+        f"model {str(model)!r}: expected a folder with {MANIFEST_NAME} or a known name, of which "
+        f"there are here: {names}. Export one with `spotlight-export`, or name its folder's parent "
+        f"in {SEARCH_PATH_VARIABLE}"
+    )
+
+
+def open_networks(
+    model: ModelFolder,
+    *,
+    providers: Sequence[str] = DEFAULT_PROVIDERS,
+    threads: int | None = None,
+    verify_files: bool = True,
+) -> LazyNetworks:
+    """Networks of a model, each opened when first used.
+
+    Raises
+    ------
+    ModelIntegrityError
+        If a file is missing, truncated or changed since it was exported.
+    """
+    if verify_files and (problems := model.manifest.damaged_files(model.path)):
+        raise ModelIntegrityError(
+            f"{model.path}: {'; '.join(problems)}. Copy the folder again or export the model again"
+        )
+    return LazyNetworks(model, tuple(providers), threads)
+
+
+class LazyNetworks(Mapping[str, Network]):
+    """Graph name → network; opens sessions on demand and can let them go to free memory."""
+
+    def __init__(self, model: ModelFolder, providers: tuple[str, ...], threads: int | None) -> None:
+        self._model = model
+        self._providers = providers
+        self._threads = threads
+        self._open: dict[str, Network] = {}
+
+    def __getitem__(self, name: str) -> Network:
+        network = self._open.get(name)
+        if network is None:
+            contract = self._model.manifest.graph(name)
+            network = open_graph(
+                self._model.path, contract, providers=self._providers, threads=self._threads
+            )
+            self._open[name] = network
+        return network  # not looked up again: another thread may have released it meanwhile
+
+    def __iter__(self) -> Iterator[str]:
+        return (contract.name for contract in self._model.manifest.graphs)
+
+    def __len__(self) -> int:
+        return len(self._model.manifest.graphs)
+
+    def release(self, *names: str) -> None:
+        """Close the sessions of these graphs; they open again when used."""
+        for name in names:
+            self._open.pop(name, None)
+
+
+def predictor(
+    networks: Mapping[str, Network],
+    condition: FloatArray,
+    schedule: ScheduleSpec,
+    *,
+    batch_branches: bool = True,
+) -> Predict:
+    """The network as the sampler knows it: ``predict(latents, timestep) -> v``.
+
+    Parameters
+    ----------
+    networks : mapping of str to Network
+        With ``denoiser``, or with ``controlnet`` and ``unet``.
+    condition : ndarray of float32, shape (branches, E, h, w)
+        Encoded condition of each branch.
+    schedule : ScheduleSpec
+        Says what the network's output means.
+    batch_branches : bool
+        Run the branches in one call, or one after the other (less memory).
+
+    Returns
+    -------
+    callable
+        Each call is one denoiser evaluation a branch.
+    """
+    alphas = alphas_cumprod(schedule)
+
+    def evaluate(latents: FloatArray, timestep: int, encoded: FloatArray) -> FloatArray:
+        t = np.array([timestep], dtype=np.int64)
+        if "denoiser" in networks:
+            output = networks["denoiser"](latents=latents, timestep=t, condition=encoded)
+        else:
+            residuals = networks["controlnet"](latents=latents, timestep=t, condition=encoded)
+            output = networks["unet"](latents=latents, timestep=t, **residuals)
+        return output["prediction"]
+
+    def predict(latents: FloatArray, timestep: int) -> FloatArray:
+        if batch_branches:
+            output = evaluate(latents, timestep, condition)
+        else:
+            each = zip(np.split(latents, len(latents)), np.split(condition, len(condition)))
+            output = np.concatenate([evaluate(z, timestep, c) for z, c in each])
+        return _as_v(output, latents, float(alphas[timestep]), schedule.prediction_type)
+
+    return predict
+
+
+def _as_v(output: FloatArray, z: FloatArray, alpha_bar: float, kind: str) -> FloatArray:
+    """v = α ε − σ x0 from whatever the network predicts."""
+    if kind == "v_prediction":
+        return output
+    alpha, sigma = alpha_bar**0.5, (1.0 - alpha_bar) ** 0.5
+    if kind == "epsilon":
+        if alpha == 0.0:
+            raise InvalidInputError(
+                "an epsilon-prediction backbone is undefined at zero terminal SNR (ᾱ = 0): "
+                "set rescale_betas_zero_snr to false in its schedule"
+            )
+        # x0 = (z − σ ε) / α, so v = (ε − σ z) / α.
+        return (output - sigma * z) / alpha
+    # ε = (z − α x0) / σ, so v = (α z − x0) / σ.
+    return (alpha * z - output) / sigma

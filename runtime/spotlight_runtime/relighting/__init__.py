@@ -1,0 +1,1 @@
+"""From a scene and its lights to a relit picture at the photograph's size."""

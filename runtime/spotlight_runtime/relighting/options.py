@@ -1,0 +1,144 @@
+"""How to relight: the options, checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal, TypedDict, get_args
+
+from spotlight_runtime.diffusion.noise import checked_seed
+from spotlight_runtime.diffusion.sampler import Fidelity
+from spotlight_runtime.diffusion.solvers import SOLVERS, SolverName
+from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.relighting.window import WindowMode
+from spotlight_spec import BackboneSpec
+
+__all__ = ["Detail", "OptionChanges", "RelightOptions"]
+
+Detail = Literal["auto", "renderer", "maps"]
+
+_LIMITS: Final = {
+    "gamma": 20.0,
+    "beta": 1.0,
+    "guidance_rescale": 1.0,
+    "shadow_opacity": 1.0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RelightOptions:
+    """How to relight.
+
+    Attributes
+    ----------
+    gamma : float
+        Guidance scale γ, 0 to 20: how strongly the shadow steers the object's shading; 1 is off.
+    beta : float
+        Shadow latent weight β in [0, 1].
+    seed : int
+        Of all randomness, 0 to 2⁶³ − 1. The same seed gives the same bytes on the same machine.
+    steps : int or None
+        Denoising steps; the backbone's own number by default.
+    solver : {"ddim", "dpmpp_2m", "unipc"}
+    fidelity : {"paper", "release"}
+        ``paper``: blended noise at the latents' own level and shared with the start, posterior
+        mean, background touched only inside the shadow's region. ``release``: what the public
+        release does (noise of the step's own t, fresh each step, posterior sample, ratio over the
+        whole picture).
+    guidance_rescale : float
+        φ in [0, 1] of Lin et al. 2023; 0 is off.
+    shadow_opacity : float
+        Darkness of a full shadow in the rough composite, in [0, 1].
+    denoise : bool or None
+        Denoise the predictions; by default where the backbone was trained on noisy renders and
+        the extra is installed.
+    batch_branches : bool
+        Run both branches in one network call: more memory, and no faster on a CPU.
+    window : {"auto", "frame"}
+        ``auto``: a photograph larger than the backbone was trained at is diffused in a window
+        around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
+        all of it at its own scale, whatever time and memory that takes.
+    detail : {"auto", "renderer", "maps"}
+        Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
+        ``maps``: the predicted shading on the object's own albedo and normals, sharper than any
+        decoder. ``auto``: the renderer's where the whole photograph is diffused, the maps' where
+        a window is; a window that is enlarged has no other.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is outside its domain.
+    """
+
+    gamma: float = 3.0
+    beta: float = 0.05
+    seed: int = 469
+    steps: int | None = None
+    solver: SolverName = "ddim"
+    fidelity: Fidelity = "paper"
+    guidance_rescale: float = 0.0
+    shadow_opacity: float = 1.0
+    denoise: bool | None = None
+    batch_branches: bool = False
+    window: WindowMode = "auto"
+    detail: Detail = "auto"
+
+    def __post_init__(self) -> None:
+        for name, high in _LIMITS.items():
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0.0 <= value <= high:
+                raise InvalidInputError(
+                    f"{name}: expected a number from 0 to {high:g}, got {value!r}"
+                )
+        object.__setattr__(self, "seed", checked_seed(self.seed))  # a numpy integer is no JSON
+        if self.steps is not None and (type(self.steps) is not int or self.steps < 1):
+            raise InvalidInputError(f"steps: expected a whole number from 1, got {self.steps!r}")
+        if self.fidelity not in ("paper", "release"):
+            raise InvalidInputError(
+                f"fidelity: expected 'paper' or 'release', got {self.fidelity!r}"
+            )
+        if self.solver not in SOLVERS:
+            raise InvalidInputError(
+                f"solver: expected one of {', '.join(SOLVERS)}, got {self.solver!r}"
+            )
+        if self.window not in get_args(WindowMode):
+            raise InvalidInputError(f"window: expected 'auto' or 'frame', got {self.window!r}")
+        if self.detail not in get_args(Detail):
+            raise InvalidInputError(
+                f"detail: expected {', '.join(get_args(Detail))}, got {self.detail!r}"
+            )
+
+    @classmethod
+    def of(cls, options: RelightOptions | None, changes: OptionChanges) -> RelightOptions:
+        """The options, or the defaults where there are none, with these changed."""
+        return replace(options or cls(), **changes)
+
+    def steps_for(self, spec: BackboneSpec) -> int:
+        """Number of denoising steps with this backbone.
+
+        Raises
+        ------
+        InvalidInputError
+            If the backbone was trained on fewer.
+        """
+        steps = spec.schedule.steps if self.steps is None else self.steps
+        most = spec.schedule.num_train_timesteps
+        if steps > most:
+            raise InvalidInputError(f"steps: expected a whole number from 1 to {most}, got {steps}")
+        return steps
+
+
+class OptionChanges(TypedDict, total=False):
+    """The fields of `RelightOptions` as keywords of a call; see there."""
+
+    gamma: float
+    beta: float
+    seed: int
+    steps: int | None
+    solver: SolverName
+    fidelity: Fidelity
+    guidance_rescale: float
+    shadow_opacity: float
+    denoise: bool | None
+    batch_branches: bool
+    window: WindowMode
+    detail: Detail

@@ -1,0 +1,1 @@
+"""What is relit: intrinsic maps of background and object, and the files they come in."""

@@ -90,8 +90,7 @@ class Studio:
             steps = self._options.steps_for(self._backbone.spec)
             return Made(image, steps + steps_again(steps))
         result = self._spotlight(method, direction)
-        assert result.options.steps is not None  # a result's options leave nothing to default
-        return Made(result.image, result.evaluations - result.options.steps)
+        return Made(result.image, sum(each.evaluations for each in result.plan.passes))
 
     def _spotlight(self, method: Method, direction: Direction) -> RelightResult:
         negative = direction.opposite if method.negative == "opposite" else None

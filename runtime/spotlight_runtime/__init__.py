@@ -12,8 +12,8 @@
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.geometry.lights import Light
 from spotlight_runtime.imaging.images import read_image, write_image
+from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.relighting.guides import GuidingShadow
-from spotlight_runtime.relighting.options import RelightOptions
 from spotlight_runtime.relighting.relighter import Relighter
 from spotlight_runtime.relighting.result import Progress, RelightResult
 from spotlight_runtime.relighting.window import Window

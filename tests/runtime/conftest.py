@@ -24,7 +24,7 @@ def backbone(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def relighter(backbone):
-    return Relighter.load(backbone, threads=1)
+    return Relighter.load(backbone, threads=1, remember=0)
 
 
 @pytest.fixture

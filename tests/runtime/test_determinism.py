@@ -83,7 +83,7 @@ def test_branches_apart_give_the_same_picture(relighter, options, scene, shadow,
 
 @pytest.mark.parametrize("low_memory", [False, True])
 def test_eight_threads_on_one_relighter(backbone, options, scene, shadow, negative, low_memory):
-    shared = Relighter.load(backbone, threads=1, low_memory=low_memory)
+    shared = Relighter.load(backbone, threads=1, low_memory=low_memory, remember=0)
     chosen = [replace(options, seed=seed % 3) for seed in range(16)]
     with ThreadPoolExecutor(8) as pool:
         pictures = list(pool.map(lambda o: shared.relight(scene, shadow, negative, o), chosen))

@@ -56,7 +56,7 @@ def done(*extra, **more):
 
 @pytest.fixture(scope="module")
 def relighter(backbone):
-    return Relighter.load(backbone, threads=1)
+    return Relighter.load(backbone, threads=1, remember=0)
 
 
 def read_grey(path):

@@ -22,7 +22,7 @@ from spotlight_runtime.errors import (
     ShapeError,
 )
 from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
-from spotlight_runtime.relighting.options import OptionChanges
+from spotlight_runtime.planning.options import OptionChanges
 from spotlight_runtime.relighting.result import peak_memory_bytes
 
 SIZES = [(64, 96), (61, 93), (8, 8), (7, 5), (1, 1), (3, 40)]

@@ -13,7 +13,7 @@ from spotlight_runtime.cli.pictures import relit, shadow_of, sketches, write_she
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.imaging.images import check_target, write_image
-from spotlight_runtime.relighting.options import RelightOptions
+from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.relighting.relighter import Relighter
 from spotlight_runtime.relighting.sweep import check_animation
 from spotlight_runtime.scenes.scene import Scene

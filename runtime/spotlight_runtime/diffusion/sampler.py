@@ -27,7 +27,8 @@ __all__ = ["Fidelity", "LoopInputs", "Predict", "Step", "sample", "shadow_guided
 
 Fidelity = Literal["paper", "release"]
 Predict = Callable[[FloatArray, int], FloatArray]
-"""``predict(latents (branches, C, h, w), timestep) -> v`` of the same shape."""
+"""``predict(latents (branches, C, h, w), timestep) -> v`` of the same shape. Asked for fewer
+branches than there are, it is asked for the first ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +104,7 @@ def sample(
     solver: Solver,
     combine: Callable[[FloatArray], FloatArray] | None = None,
     blend: Callable[[int, FloatArray], FloatArray] | None = None,
+    branches: Callable[[int], int] | None = None,
 ) -> Iterator[Step]:
     """Denoise, one yield a step.
 
@@ -115,10 +117,12 @@ def sample(
     solver : Solver
         A fresh solver; its schedule sets the steps.
     combine : callable, optional
-        Makes of the branches' predictions the one that steps them all.
+        Makes of several branches' predictions the one that steps them all.
     blend : callable, optional
         ``blend(index, latents)`` after every step but the last: what is blended last could no
         longer be refined.
+    branches : callable, optional
+        ``branches(index)`` → how many are evaluated at a step: one steps them all.
 
     Yields
     ------
@@ -131,9 +135,9 @@ def sample(
     """
     last = len(solver.schedule) - 1
     for index, timestep in enumerate(solver.schedule.timesteps.tolist()):
-        v = predict(latents, timestep)
+        v = predict(latents if branches is None else latents[: branches(index)], timestep)
         with np.errstate(over="ignore", invalid="ignore"):  # an error below, not a warning first
-            if combine is not None:
+            if combine is not None and len(v) > 1:
                 v = combine(v)
             _require_finite(v, "the network's prediction", index, timestep)
             latents, denoised = solver.step(index, latents, v)
@@ -152,6 +156,7 @@ def shadow_guided(
     beta: float = 0.05,
     guidance_rescale: float = 0.0,
     fidelity: Fidelity = "paper",
+    branches: Callable[[int], int] | None = None,
 ) -> Iterator[Step]:
     """SpotLight's loop (paper §3, eq. 1 and 2).
 
@@ -172,18 +177,21 @@ def shadow_guided(
     fidelity : {"paper", "release"}
         Noise level of the blend: that of the latents it is blended into (paper, eq. 1), or of the
         step's own t, one level noisier (the public release).
+    branches : callable, optional
+        ``branches(index)`` → 2 where the branches are contrasted, 1 where the negative one is left
+        out; by default they always are.
 
     Yields
     ------
     Step
     """
-    branches, blends = inputs.conditioning.shape[0], len(solver.schedule) - 1
+    count, blends = inputs.conditioning.shape[0], len(solver.schedule) - 1
     if beta > 0.0 and len(inputs.step_noise) not in (1, blends) and blends > 0:
         raise ShapeError(
             f"step_noise: expected 1 or {blends} arrays for {blends + 1} steps, "
             f"got {len(inputs.step_noise)}"
         )
-    latents = np.repeat(inputs.initial_noise, branches, axis=0)
+    latents = np.repeat(inputs.initial_noise, count, axis=0)
 
     def combine(v: FloatArray) -> FloatArray:
         guided = masked_guidance(v[:1], v[1:], inputs.guidance_mask, gamma)
@@ -196,7 +204,12 @@ def shadow_guided(
         return blend_shadow(z, noised, inputs.shadow_mask, beta)
 
     return sample(
-        predict, latents, solver, combine if branches == 2 else None, blend if beta > 0.0 else None
+        predict,
+        latents,
+        solver,
+        combine if count == 2 else None,
+        blend if beta > 0.0 and inputs.shadow_mask.any() else None,
+        branches,
     )
 
 

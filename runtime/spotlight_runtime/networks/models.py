@@ -175,7 +175,7 @@ def predictor(
     Returns
     -------
     callable
-        Each call is one denoiser evaluation a branch.
+        Each call is one denoiser evaluation a branch it is asked for.
     """
     alphas = alphas_cumprod(schedule)
 
@@ -189,10 +189,11 @@ def predictor(
         return output["prediction"]
 
     def predict(latents: FloatArray, timestep: int) -> FloatArray:
+        asked = condition[: len(latents)]
         if batch_branches:
-            output = evaluate(latents, timestep, condition)
+            output = evaluate(latents, timestep, asked)
         else:
-            each = zip(np.split(latents, len(latents)), np.split(condition, len(condition)))
+            each = zip(np.split(latents, len(latents)), np.split(asked, len(asked)))
             output = np.concatenate([evaluate(z, timestep, c) for z, c in each])
         return _as_v(output, latents, float(alphas[timestep]), schedule.prediction_type)
 

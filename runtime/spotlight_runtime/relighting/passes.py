@@ -16,14 +16,15 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.conditioning import composite_maps, conditioning_array
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step, sample, shadow_guided
 from spotlight_runtime.diffusion.schedule import Schedule
-from spotlight_runtime.diffusion.solvers import make_solver
+from spotlight_runtime.diffusion.solvers import SolverName, make_solver
 from spotlight_runtime.imaging.colour import decode_to_linear, encode_linear, linear_to_srgb
 from spotlight_runtime.imaging.denoise import denoise, denoiser_available, require_denoiser
 from spotlight_runtime.networks.codec import decode_latents, encode_conditioning
 from spotlight_runtime.networks.models import predictor
 from spotlight_runtime.networks.sessions import Network
+from spotlight_runtime.planning.options import RelightOptions
+from spotlight_runtime.planning.plan import GuidedPass, Plan
 from spotlight_runtime.relighting.layers import Layer, frame_layer, window_layer
-from spotlight_runtime.relighting.options import RelightOptions
 from spotlight_runtime.relighting.preparation import Prepared
 from spotlight_runtime.relighting.putback import put_back
 from spotlight_runtime.relighting.result import PassName, Progress, RelightResult, Stopwatch
@@ -42,18 +43,24 @@ class Task:
     prepared : Prepared
     options : RelightOptions
         With nothing left to default.
-    steps : int
-        Of each pass.
+    plan : Plan
+        What is to be run.
     denoised : str
         ``on``, or why not.
     stopwatch : Stopwatch
+    plain_key : str
+        Names the picture without shadow, of this scene, seed and these steps.
+    no_shadow : ndarray of float32, shape (h, w, 3), optional
+        That picture, where it is known from before.
     """
 
     prepared: Prepared
     options: RelightOptions
-    steps: int
+    plan: Plan
     denoised: str
     stopwatch: Stopwatch
+    plain_key: str
+    no_shadow: FloatArray | None = None
 
     @property
     def lights(self) -> int:
@@ -66,10 +73,11 @@ class Task:
 
     def only(self, number: int) -> Task:
         """The same with one of its lights."""
-        return replace(self, prepared=self.prepared.only(number))
+        plan = self.plan.only(number, first=number == 0)
+        return replace(self, prepared=self.prepared.only(number), plan=plan)
 
     def drain(
-        self, trajectory: Iterator[Step], stage: PassName, light: int
+        self, trajectory: Iterator[Step], stage: PassName, light: int, steps: int
     ) -> Generator[Progress, None, FloatArray]:
         """Yield progress of a pass and return its final latents; the caller's time is not counted.
 
@@ -79,12 +87,14 @@ class Task:
         stage : {"relight", "no shadow"}
         light : int
             Which light the pass is for.
+        steps : int
+            How many it has.
         """
         while True:
             with self.stopwatch.stage(stage):
                 step = next(trajectory)
-            yield Progress(stage, step, self.steps, light, self.lights, self.prepared.window)
-            if step.index == self.steps - 1:
+            yield Progress(stage, step, steps, light, self.lights, self.prepared.window)
+            if step.index == steps - 1:
                 return step.latents
 
 
@@ -93,8 +103,21 @@ def guided_pass(
     spec: BackboneSpec,
     inputs: LoopInputs,
     options: RelightOptions,
+    planned: GuidedPass | None = None,
 ) -> Iterator[Step]:
-    """SpotLight's loop on ready arrays (`shadow_guided`); draws no random number."""
+    """SpotLight's loop on ready arrays (`shadow_guided`); draws no random number.
+
+    Parameters
+    ----------
+    networks : mapping of str to Network
+    spec : BackboneSpec
+    inputs : LoopInputs
+    options : RelightOptions
+        ``gamma``, ``beta``, ``solver``, ``steps``, ``fidelity``, ``guidance_rescale`` and
+        ``batch_branches`` apply.
+    planned : GuidedPass, optional
+        In which steps the branches are contrasted; by default in all of them.
+    """
     predict = predictor(
         networks,
         encode_conditioning(networks, inputs.conditioning),
@@ -104,11 +127,12 @@ def guided_pass(
     return shadow_guided(
         predict,
         inputs,
-        make_solver(options.solver, _schedule(spec, options)),
+        make_solver(options.solver, Schedule.trailing(spec.schedule, options.steps_for(spec))),
         gamma=options.gamma,
         beta=options.beta,
         guidance_rescale=options.guidance_rescale,
         fidelity=options.fidelity,
+        branches=None if planned is None else planned.branches_at,
     )
 
 
@@ -117,7 +141,8 @@ def plain_pass(
     spec: BackboneSpec,
     view: Scene,
     noise: FloatArray,
-    options: RelightOptions,
+    solver: SolverName,
+    steps: int,
 ) -> Iterator[Step]:
     """The renderer alone, with the shading hidden under the object only.
 
@@ -129,12 +154,12 @@ def plain_pass(
         As `Prepared` has it.
     noise : ndarray of float32, shape (1, C, h, w)
         The guided pass's initial noise, so that what differs is the shadow.
-    options : RelightOptions
-        ``solver`` and ``steps`` apply.
+    solver : str
+    steps : int
     """
     conditioning = conditioning_array(spec, view, np.zeros_like(view.object_mask))
     predict = predictor(networks, encode_conditioning(networks, conditioning[None]), spec.schedule)
-    return sample(predict, noise, make_solver(options.solver, _schedule(spec, options)))
+    return sample(predict, noise, make_solver(solver, Schedule.trailing(spec.schedule, steps)))
 
 
 def denoising(spec: BackboneSpec, options: RelightOptions) -> str:
@@ -225,7 +250,6 @@ def result(
     task: Task,
     predicted: Sequence[FloatArray],
     no_shadow: FloatArray,
-    branches: int,
     model: dict[str, Any],
 ) -> RelightResult:
     """Put the predictions of all lights back into the photograph.
@@ -238,8 +262,6 @@ def result(
         As `develop` returns them, one a light.
     no_shadow : ndarray of float32, shape (h, w, 3)
         Likewise, of the pass without shadow.
-    branches : int
-        How many have been run, for the count of evaluations.
     model : dict
         Facts about the model.
 
@@ -265,14 +287,10 @@ def result(
         prediction=shown(prepared.mix.sum(lit)),
         no_shadow=shown(decode_to_linear(no_shadow, spec.image_encoding)),
         options=task.options,
-        evaluations=task.steps * branches,
+        plan=task.plan,
         timings=dict(task.stopwatch.seconds),
         denoised=task.denoised,
         window=prepared.window,
         guides=prepared.guides,
         model=model,
     )
-
-
-def _schedule(spec: BackboneSpec, options: RelightOptions) -> Schedule:
-    return Schedule.trailing(spec.schedule, options.steps_for(spec))

@@ -18,15 +18,17 @@ from spotlight_runtime.diffusion.noise import gaussian
 from spotlight_runtime.diffusion.sampler import LoopInputs
 from spotlight_runtime.networks.codec import encode_image
 from spotlight_runtime.networks.sessions import Network
+from spotlight_runtime.planning.options import RelightOptions, WindowMode
+from spotlight_runtime.planning.plan import GuidedPass
+from spotlight_runtime.planning.rules import LightFacts
 from spotlight_runtime.relighting.canvas import Canvas
 from spotlight_runtime.relighting.guides import GuidingShadow
 from spotlight_runtime.relighting.mixing import Mix
-from spotlight_runtime.relighting.options import RelightOptions
-from spotlight_runtime.relighting.window import Window, WindowMode, choose_window, look, shrink
+from spotlight_runtime.relighting.window import Window, choose_window, look, shrink
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
 
-__all__ = ["Prepared", "loop_inputs", "prepare", "prepare_window"]
+__all__ = ["Prepared", "guidance_mask", "light_facts", "loop_inputs", "prepare", "prepare_window"]
 
 Pair = tuple[FloatArray, FloatArray]
 
@@ -154,10 +156,11 @@ def loop_inputs(
     networks: Mapping[str, Network],
     spec: BackboneSpec,
     scene: Scene,
-    shadows: tuple[FloatArray, ...],
+    shadows: Pair,
     options: RelightOptions,
+    planned: GuidedPass,
 ) -> LoopInputs:
-    """Everything `shadow_guided` needs, one branch a shadow.
+    """Everything `shadow_guided` needs for the branches that are planned.
 
     Parameters
     ----------
@@ -166,14 +169,17 @@ def loop_inputs(
     spec : BackboneSpec
     scene : Scene
         As `prepare` returns it.
-    shadows : tuple of ndarray of float32, shape (H, W)
+    shadows : tuple of two ndarray of float32, shape (H, W)
         As `prepare` returns them, positive first.
     options : RelightOptions
+    planned : GuidedPass
+        How many branches there are, and which of them blend their composite in.
 
     Returns
     -------
     LoopInputs
     """
+    branches = shadows[: planned.branches]
     latent = spec.latent
     shape = (latent.channels, *(side // latent.downscale for side in scene.size))
     release = options.fidelity == "release"
@@ -184,21 +190,42 @@ def loop_inputs(
         step_noise = np.stack(fresh)
 
     def encode(branch: int, shadow: FloatArray) -> FloatArray:
+        if not planned.encoded[branch]:
+            return np.zeros((1, *shape), np.float32)
         sampled = gaussian(options.seed, "posterior", (1, *shape), branch) if release else None
         composite = rough_composite(spec, scene, shadow, options.shadow_opacity)
         return encode_image(networks, spec, composite, sampled)
 
-    def mask(shadow: FloatArray) -> FloatArray:
-        return latent_shadow_mask(shadow, scene.object_mask, latent.downscale)[None]
-
     return LoopInputs(
-        conditioning=np.stack([conditioning_array(spec, scene, shadow) for shadow in shadows]),
-        composite_latents=np.concatenate([encode(i, s) for i, s in enumerate(shadows)]),
-        shadow_mask=np.stack([mask(shadow) for shadow in shadows]),
-        guidance_mask=downsample_antialiased(scene.object_mask, latent.downscale)[None, None],
+        conditioning=np.stack([conditioning_array(spec, scene, shadow) for shadow in branches]),
+        composite_latents=np.concatenate([encode(i, s) for i, s in enumerate(branches)]),
+        shadow_mask=np.stack([_blend_mask(spec, scene, shadow)[None] for shadow in branches]),
+        guidance_mask=guidance_mask(spec, scene)[None, None],
         initial_noise=noise,
         step_noise=step_noise,
     )
+
+
+def light_facts(spec: BackboneSpec, scene: Scene, shadows: Pair) -> LightFacts:
+    """What a plan needs to know of one light's shadows, as `prepare` returns them."""
+    positive, negative = shadows
+    return LightFacts(
+        shadow=bool(positive.any()),
+        blendable=(
+            bool(_blend_mask(spec, scene, positive).any()),
+            bool(_blend_mask(spec, scene, negative).any()),
+        ),
+        contrast=not np.array_equal(positive, negative),
+    )
+
+
+def _blend_mask(spec: BackboneSpec, scene: Scene, shadow: FloatArray) -> FloatArray:
+    return latent_shadow_mask(shadow, scene.object_mask, spec.latent.downscale)
+
+
+def guidance_mask(spec: BackboneSpec, scene: Scene) -> FloatArray:
+    """Object mask at latent size, antialiased; float32 of shape (h, w)."""
+    return downsample_antialiased(scene.object_mask, spec.latent.downscale)
 
 
 def _with_usual_materials(view: Scene) -> Scene:

@@ -1,9 +1,9 @@
 """From a scene and its light to the relit picture.
 
-`Relighter` owns the networks and nothing else; every stage is a pure function of another module::
+`Relighter` owns networks and caches and nothing else; every stage is a pure function elsewhere::
 
-    scene, lights ─► guiding shadows ─► window ─► loop inputs ─► guided pass, one a light ─┐
-                                          └───────────────────► pass without shadow ───────┤
+    scene, lights ─► guiding shadows ─► window ─► plan ─► guided pass, one a light ────────┐
+                                                    └───► pass without shadow ─────────────┤
                           RelightResult ◄─ put back ◄─ layers ◄─ develop (decode, denoise) ◄┘
 """
 
@@ -20,11 +20,15 @@ from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
 from spotlight_runtime.networks.models import LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
+from spotlight_runtime.planning.costs import Costs
+from spotlight_runtime.planning.options import OptionChanges, RelightOptions
+from spotlight_runtime.planning.rules import make_plan
 from spotlight_runtime.relighting import passes
+from spotlight_runtime.relighting.facts import scene_facts, softness
 from spotlight_runtime.relighting.guides import Guide, Negative, guiding_shadows
-from spotlight_runtime.relighting.options import OptionChanges, RelightOptions
 from spotlight_runtime.relighting.passes import Task
 from spotlight_runtime.relighting.preparation import loop_inputs, prepare_window
+from spotlight_runtime.relighting.remembered import CAPACITY, Remembered, plain_key
 from spotlight_runtime.relighting.result import Progress, RelightResult, Stopwatch
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
@@ -45,6 +49,13 @@ class Relighter:
         Close each session once its stage is over.
     model : dict, optional
         Facts about the model for reports.
+    remember : int
+        Bytes of pictures without shadow to keep for further lights of a scene; 0: none.
+
+    Attributes
+    ----------
+    costs : Costs, optional
+        What stages cost on this machine, to predict times with.
     """
 
     def __init__(
@@ -54,11 +65,14 @@ class Relighter:
         *,
         low_memory: bool = False,
         model: dict[str, Any] | None = None,
+        remember: int = CAPACITY,
     ) -> None:
         self.spec = spec
         self._networks = networks
         self._low_memory = low_memory
         self._model = model or {}
+        self._remembered = Remembered(remember)
+        self.costs: Costs | None = None
 
     @classmethod
     def load(
@@ -69,6 +83,7 @@ class Relighter:
         threads: int | None = None,
         low_memory: bool = False,
         verify_files: bool = True,
+        remember: int = CAPACITY,
     ) -> Relighter:
         """Load a model by name or folder.
 
@@ -84,6 +99,8 @@ class Relighter:
             Hold only the session of the stage at work.
         verify_files : bool
             Check every file against the manifest's sha256 first.
+        remember : int
+            Bytes of pictures without shadow to keep for further lights of a scene; 0: none.
 
         Raises
         ------
@@ -95,7 +112,11 @@ class Relighter:
             folder, providers=providers, threads=threads, verify_files=verify_files
         )
         return cls(
-            folder.manifest.backbone, networks, low_memory=low_memory, model=folder.summary()
+            folder.manifest.backbone,
+            networks,
+            low_memory=low_memory,
+            model=folder.summary(),
+            remember=remember,
         )
 
     def relight(
@@ -190,13 +211,24 @@ class Relighter:
         What comes out is all that is needed; who lets go of the scene here has a relight of a
         12-megapixel photograph in half the memory. Parameters and errors are those of `relight`.
         """
-        chosen = RelightOptions.of(options, changes)
+        chosen = RelightOptions.of(options, changes).for_backbone(self.spec)
         denoised = passes.denoising(self.spec, chosen)  # an error about it now, not after the loop
-        steps, stopwatch = chosen.steps_for(self.spec), Stopwatch()
+        stopwatch = Stopwatch()
         with stopwatch.stage("prepare"):
             guides = guiding_shadows(scene, light, negative)
             prepared = prepare_window(self.spec, scene, guides, chosen.window)
-        return Task(prepared, replace(chosen, steps=steps), steps, denoised, stopwatch)
+            key = plain_key(prepared.view, chosen, denoised)
+        no_shadow = self._remembered.get(key) if chosen.skip else None
+        facts = scene_facts(
+            self.spec,
+            prepared,
+            soft=softness(light),
+            denoised=denoised,
+            remembered=no_shadow is not None,
+            seconds=stopwatch.seconds["prepare"],
+        )
+        plan = make_plan(facts, chosen, self.costs)
+        return Task(prepared, chosen, plan, denoised, stopwatch, key, no_shadow)
 
     def start(self, task: Task) -> Generator[Progress, None, RelightResult]:
         """`run`, of what `prepare` made."""
@@ -210,10 +242,9 @@ class Relighter:
         plain = yield from self._plain(task, inputs[0].initial_noise)
         self._release("condition_encoder", "denoiser", "controlnet", "unet")
         predicted = [self._develop(task, z) for z in latents]
-        no_shadow = self._develop(task, plain)
+        no_shadow = self._no_shadow(task, plain, predicted[0])
         self._release("vae_decoder")
-        branches = 2 * task.lights + 1
-        return passes.result(self.spec, task, predicted, no_shadow, branches, self._model)
+        return passes.result(self.spec, task, predicted, no_shadow, self._model)
 
     def start_each(self, task: Task) -> Generator[Progress | RelightResult, None, None]:
         """`run_each`, of what `prepare` made."""
@@ -222,14 +253,13 @@ class Relighter:
         for number in range(task.lights):
             with task.stopwatch.stage("encode"):
                 inputs = self._inputs(task, number)
-            branches = 2
+            latents = yield from self._guided(task, number, inputs)
+            predicted = self._develop(task, latents)
             if no_shadow is None:
                 plain = yield from self._plain(task, inputs.initial_noise)
-                no_shadow, branches = self._develop(task, plain), 3
-            latents = yield from self._guided(task, number, inputs)
+                no_shadow = self._no_shadow(task, plain, predicted)
             alone = task.only(number)
-            predicted = [self._develop(task, latents)]
-            yield passes.result(self.spec, alone, predicted, no_shadow, branches, self._model)
+            yield passes.result(self.spec, alone, [predicted], no_shadow, self._model)
         self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
 
     def preview_of(self, progress: Progress) -> FloatArray:
@@ -259,7 +289,8 @@ class Relighter:
         **changes: Unpack[OptionChanges],
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
-        return self._inputs(self.prepare(scene, light, negative, options, **changes), 0)
+        complete = replace(RelightOptions.of(options, changes), skip=False)
+        return self._inputs(self.prepare(scene, light, negative, complete), 0)
 
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
@@ -273,22 +304,38 @@ class Relighter:
         return passes.guided_pass(self._networks, self.spec, inputs, options or RelightOptions())
 
     def _inputs(self, task: Task, number: int) -> LoopInputs:
-        prepared = task.prepared
+        prepared, planned = task.prepared, task.plan.passes[number]
         shadows = prepared.shadows[number]
-        return loop_inputs(self._networks, self.spec, prepared.view, shadows, task.options)
+        return loop_inputs(self._networks, self.spec, prepared.view, shadows, task.options, planned)
 
     def _guided(
         self, task: Task, number: int, inputs: LoopInputs
     ) -> Generator[Progress, None, FloatArray]:
+        planned = task.plan.passes[number]
         with task.stopwatch.stage("condition"):
-            trajectory = passes.guided_pass(self._networks, self.spec, inputs, task.options)
-        return (yield from task.drain(trajectory, "relight", number))
+            trajectory = passes.guided_pass(
+                self._networks, self.spec, inputs, task.options, planned
+            )
+        return (yield from task.drain(trajectory, "relight", number, planned.steps))
 
-    def _plain(self, task: Task, noise: FloatArray) -> Generator[Progress, None, FloatArray]:
-        view = task.prepared.view
+    def _plain(self, task: Task, noise: FloatArray) -> Generator[Progress, None, FloatArray | None]:
+        planned = task.plan.plain
+        if planned.source != "run":
+            return None
+        view, solver = task.prepared.view, task.options.solver
         with task.stopwatch.stage("condition"):
-            trajectory = passes.plain_pass(self._networks, self.spec, view, noise, task.options)
-        return (yield from task.drain(trajectory, "no shadow", 0))
+            trajectory = passes.plain_pass(
+                self._networks, self.spec, view, noise, solver, planned.steps
+            )
+        return (yield from task.drain(trajectory, "no shadow", 0, planned.steps))
+
+    def _no_shadow(self, task: Task, plain: FloatArray | None, relit: FloatArray) -> FloatArray:
+        """The picture without shadow, from wherever the plan has it; remembered from now on."""
+        if task.no_shadow is not None:
+            return task.no_shadow
+        picture = relit if plain is None else self._develop(task, plain)
+        self._remembered.put(task.plain_key, picture)
+        return picture
 
     def _develop(self, task: Task, latents: FloatArray) -> FloatArray:
         denoised, view = task.denoised == "on", task.prepared.view

@@ -12,8 +12,9 @@ from typing import Any, Literal
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.sampler import Step
+from spotlight_runtime.planning.options import RelightOptions
+from spotlight_runtime.planning.plan import Plan
 from spotlight_runtime.relighting.guides import GuidingShadow
-from spotlight_runtime.relighting.options import RelightOptions
 from spotlight_runtime.relighting.window import Window
 
 __all__ = ["PassName", "Progress", "RelightResult", "Stopwatch", "peak_memory_bytes"]
@@ -60,8 +61,8 @@ class RelightResult:
         with the background: what is in the window, at the model's scale; sRGB-encoded, in [0, 1].
     options : RelightOptions
         As used, with nothing left to default.
-    evaluations : int
-        Denoiser evaluations, one a branch and step.
+    plan : Plan
+        What was run, what was left out, and why.
     timings : dict of float
         Seconds by stage.
     denoised : str
@@ -78,12 +79,17 @@ class RelightResult:
     prediction: FloatArray
     no_shadow: FloatArray
     options: RelightOptions
-    evaluations: int
+    plan: Plan
     timings: dict[str, float]
     denoised: str
     window: Window
     guides: tuple[GuidingShadow, ...]
     model: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def evaluations(self) -> int:
+        """Denoiser evaluations, one a branch and step."""
+        return self.plan.evaluations
 
     def report(self) -> dict[str, Any]:
         """Everything but the pixels, ready for JSON."""
@@ -94,6 +100,7 @@ class RelightResult:
             "lights": len(self.guides),
             "options": asdict(self.options),
             "evaluations": self.evaluations,
+            "plan": self.plan.report(),
             "denoised": self.denoised,
             "seconds": {stage: round(seconds, 4) for stage, seconds in self.timings.items()},
             "peak_memory_bytes": peak_memory_bytes(),

@@ -10,18 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from spotlight_runtime.arrays import BoolArray, FloatArray
 from spotlight_runtime.diffusion.conditioning import SHADOW_THRESHOLD
+from spotlight_runtime.planning.options import WindowMode
 from spotlight_runtime.scenes.scene import MAP_NAMES, Intrinsics, Scene
 
-__all__ = ["Window", "WindowMode", "choose_window", "look", "shrink"]
-
-WindowMode = Literal["auto", "frame"]
+__all__ = ["Window", "choose_window", "look", "shrink"]
 
 LARGEST_OBJECT: Final = 0.55
 """Share of the window's side that the object takes at most: what renderers are trained on."""
@@ -92,19 +91,22 @@ def choose_window(
     object_mask : ndarray of float32, shape (H, W)
     shadows : sequence of ndarray of float32, shape (H, W)
         All guiding shadows, positive and negative, that this window is to serve.
-    mode : {"auto", "frame"}
-        ``frame``: the whole photograph at its own scale, whatever that costs.
+    mode : {"auto", "frame", "tight"}
+        ``frame``: the whole photograph at its own scale, whatever that costs. ``tight``: no more
+        than is needed, of a small photograph too.
 
     Returns
     -------
     Window
-        The whole photograph where it has no more pixels than the backbone was trained at, or
-        where there is neither object nor shadow and so nothing to look closer at. Otherwise a
-        square around object, shadows and a margin; less than square where the photograph ends.
+        The whole photograph where it has no more pixels than the backbone was trained at (unless
+        it is to be tight), or where there is neither object nor shadow and so nothing to look
+        closer at. Otherwise a square around object, shadows and a margin; less than square where
+        the photograph ends.
     """
     height, width = object_mask.shape
     frame = (height, width)
-    if mode == "frame" or height * width <= size * size:
+    tight = mode == "tight"
+    if mode == "frame" or (height * width <= size * size and not tight):
         return Window.whole(frame)
     inserted = _box(object_mask > 0.0)
     boxes = [inserted, *(_box(shadow > SHADOW_THRESHOLD) for shadow in shadows)]
@@ -115,7 +117,7 @@ def choose_window(
     needed = (1.0 + 2.0 * MARGIN) * float((highs - lows).max())
     if inserted is not None:
         needed = max(needed, max(np.subtract(inserted[2:], inserted[:2])) / LARGEST_OBJECT)
-    side = max(size, math.ceil(needed))
+    side = math.ceil(needed / multiple) * multiple if tight else max(size, math.ceil(needed))
     high, wide = min(side, height), min(side, width)
     middle = (lows + highs) // 2
     top, left = _placed(int(middle[0]), high, height), _placed(int(middle[1]), wide, width)

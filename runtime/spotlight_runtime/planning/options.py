@@ -9,12 +9,12 @@ from spotlight_runtime.diffusion.noise import checked_seed
 from spotlight_runtime.diffusion.sampler import Fidelity
 from spotlight_runtime.diffusion.solvers import SOLVERS, SolverName
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.relighting.window import WindowMode
 from spotlight_spec import BackboneSpec
 
-__all__ = ["Detail", "OptionChanges", "RelightOptions"]
+__all__ = ["Detail", "OptionChanges", "RelightOptions", "WindowMode"]
 
 Detail = Literal["auto", "renderer", "maps"]
+WindowMode = Literal["auto", "frame", "tight"]
 
 _LIMITS: Final = {
     "gamma": 20.0,
@@ -53,15 +53,24 @@ class RelightOptions:
         the extra is installed.
     batch_branches : bool
         Run both branches in one network call: more memory, and no faster on a CPU.
-    window : {"auto", "frame"}
+    guidance_interval : (float, float)
+        From which to which share of the steps the two branches are contrasted (Kynkäänniemi et
+        al. 2024); outside it the negative one is not evaluated.
+    plain_steps : int or None
+        Steps of the pass without shadow; as many as the others by default.
+    window : {"auto", "frame", "tight"}
         ``auto``: a photograph larger than the backbone was trained at is diffused in a window
         around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
-        all of it at its own scale, whatever time and memory that takes.
+        all of it at its own scale, whatever time and memory that takes. ``tight``: no more than
+        object, shadows and a margin, of a small photograph too.
     detail : {"auto", "renderer", "maps"}
         Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
         ``maps``: the predicted shading on the object's own albedo and normals, sharper than any
         decoder. ``auto``: the renderer's where the whole photograph is diffused, the maps' where
         a window is; a window that is enlarged has no other.
+    skip : bool
+        Leave out what the scene does not call for (`spotlight_runtime.planning.rules`). Off, every
+        pass runs, as in the public release; the picture is the same.
 
     Raises
     ------
@@ -79,8 +88,11 @@ class RelightOptions:
     shadow_opacity: float = 1.0
     denoise: bool | None = None
     batch_branches: bool = False
+    guidance_interval: tuple[float, float] = (0.0, 1.0)
+    plain_steps: int | None = None
     window: WindowMode = "auto"
     detail: Detail = "auto"
+    skip: bool = True
 
     def __post_init__(self) -> None:
         for name, high in _LIMITS.items():
@@ -90,8 +102,17 @@ class RelightOptions:
                     f"{name}: expected a number from 0 to {high:g}, got {value!r}"
                 )
         object.__setattr__(self, "seed", checked_seed(self.seed))  # a numpy integer is no JSON
-        if self.steps is not None and (type(self.steps) is not int or self.steps < 1):
-            raise InvalidInputError(f"steps: expected a whole number from 1, got {self.steps!r}")
+        for name in ("steps", "plain_steps"):
+            value = getattr(self, name)
+            if value is not None and (type(value) is not int or value < 1):
+                raise InvalidInputError(f"{name}: expected a whole number from 1, got {value!r}")
+        interval = tuple(self.guidance_interval)
+        if len(interval) != 2 or not 0.0 <= interval[0] <= interval[1] <= 1.0:
+            raise InvalidInputError(
+                "guidance_interval: expected two shares of the steps, 0 ≤ from ≤ to ≤ 1, got "
+                f"{self.guidance_interval!r}"
+            )
+        object.__setattr__(self, "guidance_interval", interval)
         if self.fidelity not in ("paper", "release"):
             raise InvalidInputError(
                 f"fidelity: expected 'paper' or 'release', got {self.fidelity!r}"
@@ -101,7 +122,9 @@ class RelightOptions:
                 f"solver: expected one of {', '.join(SOLVERS)}, got {self.solver!r}"
             )
         if self.window not in get_args(WindowMode):
-            raise InvalidInputError(f"window: expected 'auto' or 'frame', got {self.window!r}")
+            raise InvalidInputError(
+                f"window: expected {', '.join(get_args(WindowMode))}, got {self.window!r}"
+            )
         if self.detail not in get_args(Detail):
             raise InvalidInputError(
                 f"detail: expected {', '.join(get_args(Detail))}, got {self.detail!r}"
@@ -120,11 +143,26 @@ class RelightOptions:
         InvalidInputError
             If the backbone was trained on fewer.
         """
-        steps = spec.schedule.steps if self.steps is None else self.steps
-        most = spec.schedule.num_train_timesteps
-        if steps > most:
-            raise InvalidInputError(f"steps: expected a whole number from 1 to {most}, got {steps}")
-        return steps
+        return _checked_steps("steps", self.steps, spec.schedule.steps, spec)
+
+    def for_backbone(self, spec: BackboneSpec) -> RelightOptions:
+        """The same with this backbone's numbers of steps where none are given.
+
+        Raises
+        ------
+        InvalidInputError
+            If the backbone was trained on fewer.
+        """
+        steps = self.steps_for(spec)
+        plain = _checked_steps("plain_steps", self.plain_steps, steps, spec)
+        return replace(self, steps=steps, plain_steps=plain)
+
+
+def _checked_steps(name: str, wanted: int | None, usual: int, spec: BackboneSpec) -> int:
+    steps, most = usual if wanted is None else wanted, spec.schedule.num_train_timesteps
+    if steps > most:
+        raise InvalidInputError(f"{name}: expected a whole number from 1 to {most}, got {steps}")
+    return steps
 
 
 class OptionChanges(TypedDict, total=False):
@@ -140,5 +178,8 @@ class OptionChanges(TypedDict, total=False):
     shadow_opacity: float
     denoise: bool | None
     batch_branches: bool
+    guidance_interval: tuple[float, float]
+    plain_steps: int | None
     window: WindowMode
     detail: Detail
+    skip: bool

@@ -1,0 +1,147 @@
+"""What each part of a relight costs on this machine, in seconds.
+
+Measured once a model and machine by `spotlight_runtime.relighting.calibration`, kept in the user's
+cache, and asked by the rules for every effect they switch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import platform
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+
+from spotlight_spec import write_json
+
+__all__ = ["Costs", "Line", "cache_path", "machine", "read_costs", "write_costs"]
+
+VERSION: Final = 1
+"""Of the cache file; files of another version are measured anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Seconds as a straight line of a size, never below 0.
+
+    Attributes
+    ----------
+    fixed : float
+        Seconds whatever the size.
+    each : float
+        Seconds for each unit of the size.
+    """
+
+    fixed: float
+    each: float
+
+    @classmethod
+    def through(cls, sizes: list[float], seconds: list[float]) -> Self:
+        """The line through two or more measurements (least squares), rising and from 0 up."""
+        if len(set(sizes)) == 1:
+            return cls(0.0, max(seconds) / sizes[0])
+        each, fixed = (float(c) for c in np.polyfit(sizes, seconds, 1))
+        if each <= 0.0:
+            return cls(float(np.mean(seconds)), 0.0)
+        if fixed < 0.0:
+            return cls(0.0, float(np.dot(sizes, seconds) / np.dot(sizes, sizes)))
+        return cls(fixed, each)
+
+    def at(self, size: float) -> float:
+        """Seconds at a size."""
+        return self.fixed + self.each * size
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Seconds of every stage of a relight.
+
+    Attributes
+    ----------
+    evaluation, condition, encode, decode : Line
+        Of one branch, by the number of latents (height × width).
+    frame : Line
+        Putting a whole photograph diffused at its own scale together, by its pixels.
+    window : Line
+        Putting a window back into a larger photograph, by the photograph's pixels.
+    """
+
+    evaluation: Line
+    condition: Line
+    encode: Line
+    decode: Line
+    frame: Line
+    window: Line
+
+    def composite(self, pixels: int, native: bool) -> float:
+        """Seconds to put a picture of so many pixels together."""
+        return (self.frame if native else self.window).at(pixels)
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Self:
+        """What `dataclasses.asdict` made a record of.
+
+        Raises
+        ------
+        ValueError
+            If the record is not one.
+        """
+        lines = {name: Line(**record[name]) for name in cls.__dataclass_fields__}
+        for name, line in lines.items():
+            for value in (line.fixed, line.each):
+                if not (isinstance(value, float) and math.isfinite(value) and value >= 0.0):
+                    raise ValueError(f"{name}: expected seconds, got {value!r}")
+        return cls(**lines)
+
+
+def machine(threads: int | None) -> str:
+    """What times depend on besides the model: processor, cores in use, ONNX Runtime."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    facts = [platform.node(), platform.machine(), _processor(), str(usable), str(threads)]
+    return "; ".join([*facts, "onnxruntime " + version("onnxruntime")])
+
+
+def cache_path(model: str, threads: int | None) -> Path:
+    """Where the costs of a model on this machine are kept."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    digest = hashlib.sha256(f"{model}\n{machine(threads)}".encode()).hexdigest()
+    return root / "spotlight-relight" / "costs" / f"{digest[:24]}.json"
+
+
+def read_costs(path: Path) -> Costs | None:
+    """The costs kept there; None where there are none that can be used."""
+    try:
+        record = json.loads(path.read_text())
+        return Costs.from_dict(record["costs"]) if record["version"] == VERSION else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def write_costs(path: Path, costs: Costs, model: str, threads: int | None) -> None:
+    """Keep costs, where the cache can be written to; write-then-rename."""
+    record = {
+        "version": VERSION,
+        "model": model,
+        "machine": machine(threads),
+        "costs": asdict(costs),
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, record)
+    except OSError:
+        return  # they are measured again next time
+
+
+def _processor() -> str:
+    """The processor's name, where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if "model name" in line), "")

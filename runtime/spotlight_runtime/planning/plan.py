@@ -1,0 +1,164 @@
+"""A plan: which passes a relight makes, which effects it simulates, and what each is for."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+__all__ = ["Effect", "GuidedPass", "PlainPass", "Plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class GuidedPass:
+    """The loop of one light.
+
+    Attributes
+    ----------
+    steps : int
+    contrasted : tuple of int
+        First and last-but-one step at which the negative branch is evaluated, too; the same
+        number twice where there is no negative branch.
+    encoded : tuple of bool
+        By branch, positive first: whether its rough composite is encoded and blended in.
+    """
+
+    steps: int
+    contrasted: tuple[int, int]
+    encoded: tuple[bool, ...]
+
+    @property
+    def branches(self) -> int:
+        """One, or two with guidance."""
+        return len(self.encoded)
+
+    @property
+    def contrasts(self) -> int:
+        """Evaluations of the negative branch."""
+        return self.contrasted[1] - self.contrasted[0]
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of both branches."""
+        return self.steps + self.contrasts
+
+    @property
+    def blends(self) -> bool:
+        """Whether anything is blended into the latents."""
+        return any(self.encoded)
+
+    def branches_at(self, step: int) -> int:
+        """How many branches the network is asked for at a step."""
+        return 2 if self.contrasted[0] <= step < self.contrasted[1] else 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlainPass:
+    """The pass without shadow, shared by all lights.
+
+    Attributes
+    ----------
+    steps : int
+    source : {"run", "remembered", "relight"}
+        Whether it is run, was run before for the same scene and seed, or is the relight pass
+        itself.
+    """
+
+    steps: int
+    source: Literal["run", "remembered", "relight"]
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations it takes."""
+        return self.steps if self.source == "run" else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Something a relight may simulate.
+
+    Attributes
+    ----------
+    name : str
+    on : bool
+    reason : str
+        Why, or why not.
+    exact : bool
+        Whether the picture is the same, in real arithmetic, as with everything simulated.
+    evaluations : int
+        Denoiser evaluations it takes.
+    seconds : float or None
+        Predicted; None where the machine has not been measured.
+    """
+
+    name: str
+    on: bool
+    reason: str
+    exact: bool = True
+    evaluations: int = 0
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a relight will do.
+
+    Attributes
+    ----------
+    passes : tuple of GuidedPass
+        One a light.
+    plain : PlainPass
+    effects : tuple of Effect
+    batched : bool
+        Whether both branches go through the network in one call.
+    name : str
+        ``exact``, ``balanced``, ``draft``, or ``custom``.
+    """
+
+    passes: tuple[GuidedPass, ...]
+    plain: PlainPass
+    effects: tuple[Effect, ...]
+    batched: bool = False
+    name: str = "exact"
+
+    @property
+    def evaluations(self) -> int:
+        """Denoiser evaluations, one a branch and step."""
+        return self.plain.evaluations + sum(p.evaluations for p in self.passes)
+
+    @property
+    def seconds(self) -> float | None:
+        """Predicted time of it all; None where the machine has not been measured."""
+        known = [effect.seconds for effect in self.effects if effect.seconds is not None]
+        return sum(known) if known else None
+
+    def calls(self) -> dict[str, int]:
+        """How often each graph will be run; ``denoiser`` stands for a controlnet and its unet."""
+        count: Counter[str] = Counter()
+        count["denoiser"] = self.plain.evaluations
+        for each in self.passes:
+            count["vae_encoder"] += sum(each.encoded)
+            count["condition_encoder"] += each.branches
+            count["denoiser"] += each.steps + (0 if self.batched else each.contrasts)
+            count["vae_decoder"] += 1
+        if self.plain.source == "run":
+            count["condition_encoder"] += 1
+            count["vae_decoder"] += 1
+        return {graph: number for graph, number in count.items() if number}
+
+    def only(self, number: int, *, first: bool) -> Plan:
+        """The same for one of its lights; the pass without shadow belongs to the first."""
+        plain = self.plain
+        if not first and plain.source == "run":
+            plain = replace(plain, source="remembered")
+        return replace(self, passes=(self.passes[number],), plain=plain)
+
+    def report(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return {
+            "name": self.name,
+            "evaluations": self.evaluations,
+            "calls": self.calls(),
+            "predicted_seconds": None if self.seconds is None else round(self.seconds, 4),
+            "effects": [asdict(effect) for effect in self.effects],
+        }

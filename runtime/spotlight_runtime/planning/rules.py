@@ -1,0 +1,229 @@
+"""What a scene calls for: from facts about it and options to a plan.
+
+The exact rules leave out what could not change the picture:
+
+* where γ = 1, no object is in sight, or both branches' shadows are the same, guidance multiplies by
+  nothing: there is no negative branch;
+* where β = 0, or a branch's shadow covers no latent, blending adds nothing: that branch's rough
+  composite is not encoded;
+* where a light throws no shadow into the picture and nothing contrasts it, its pass *is* the pass
+  without shadow; and this is run once for all lights, and once a scene and seed.
+
+The others trade accuracy for time, and are the options' to ask for: fewer steps, guidance in some
+of them, fewer steps without shadow, a tight window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from spotlight_runtime.planning.costs import Costs
+from spotlight_runtime.planning.options import RelightOptions
+from spotlight_runtime.planning.plan import Effect, GuidedPass, PlainPass, Plan
+
+__all__ = ["Facts", "LightFacts", "make_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class LightFacts:
+    """What the rules need to know of a light.
+
+    Attributes
+    ----------
+    shadow : bool
+        Whether its shadow is in the picture.
+    blendable : tuple of bool
+        By branch, positive first: whether its shadow covers a latent.
+    contrast : bool
+        Whether the two branches' shadows differ.
+    """
+
+    shadow: bool
+    blendable: tuple[bool, bool]
+    contrast: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What the rules need to know of a scene and its lights.
+
+    Attributes
+    ----------
+    lights : tuple of LightFacts
+    object_seen : bool
+        Whether the object covers any of the latents.
+    latents : int
+        Height × width at latent size.
+    pixels : int
+        Of the photograph.
+    native : bool
+        Whether the whole photograph is diffused, at its own scale.
+    window : str
+        What is diffused, in words.
+    remembered : bool
+        Whether the picture without shadow is known from before.
+    softness : str
+        ``on …`` or ``off: why``: whether soft shadows were cast.
+    denoised : str
+        ``on``, or why not.
+    prepared_seconds : float
+        How long casting shadows and choosing the window took.
+    own_steps : int
+        The backbone's usual number of steps.
+    """
+
+    lights: tuple[LightFacts, ...]
+    object_seen: bool
+    latents: int
+    pixels: int
+    native: bool
+    window: str
+    remembered: bool
+    softness: str
+    denoised: str
+    prepared_seconds: float
+    own_steps: int
+
+
+def make_plan(
+    facts: Facts, options: RelightOptions, costs: Costs | None = None, name: str = "custom"
+) -> Plan:
+    """Decide what is run.
+
+    Parameters
+    ----------
+    facts : Facts
+    options : RelightOptions
+        With numbers of steps.
+    costs : Costs, optional
+        To predict seconds with.
+    name : str
+        What the options are called.
+
+    Returns
+    -------
+    Plan
+    """
+    passes = tuple(_guided_pass(facts, light, options) for light in facts.lights)
+    plain = _plain_pass(facts, passes[0], options)
+    effects = (
+        _relight_effect(facts, passes, options),
+        _guidance_effect(facts, passes, options),
+        _blending_effect(passes, options),
+        _plain_effect(facts, plain, options),
+        Effect("soft shadows", *_switch(facts.softness), seconds=facts.prepared_seconds),
+        Effect("window", not facts.native, facts.window, exact=facts.native),
+        Effect("denoiser", *_switch(facts.denoised)),
+        Effect("composite", True, "puts light and shadow into the photograph"),
+    )
+    plan = Plan(passes, plain, effects, options.batch_branches, name)
+    return plan if costs is None else _priced(plan, facts, costs)
+
+
+def _guided_pass(facts: Facts, light: LightFacts, options: RelightOptions) -> GuidedPass:
+    steps = options.steps
+    assert steps is not None
+    first, last = (round(share * steps) for share in options.guidance_interval)
+    blended = options.beta > 0.0 and steps > 1
+    if not options.skip:
+        return GuidedPass(steps, (first, last), (True, True))
+    encoded = tuple(blended and each for each in light.blendable)
+    contrasted = options.gamma != 1.0 and facts.object_seen and light.contrast and first < last
+    if not contrasted:
+        return GuidedPass(steps, (0, 0), encoded[:1])
+    return GuidedPass(steps, (first, last), encoded)
+
+
+def _plain_pass(facts: Facts, first: GuidedPass, options: RelightOptions) -> PlainPass:
+    steps = options.plain_steps
+    assert steps is not None
+    if not options.skip:
+        return PlainPass(steps, "run")
+    if facts.remembered:
+        return PlainPass(steps, "remembered")
+    unguided = first.branches == 1 and not first.blends and not facts.lights[0].shadow
+    return PlainPass(steps, "relight" if unguided and steps == first.steps else "run")
+
+
+def _relight_effect(
+    facts: Facts, passes: tuple[GuidedPass, ...], options: RelightOptions
+) -> Effect:
+    steps = f"{options.steps} steps of {options.solver}"
+    usual = options.steps == facts.own_steps and options.solver == "ddim"
+    reason = steps if usual else f"{steps}, where the backbone's own are {facts.own_steps} of ddim"
+    if len(passes) > 1:
+        reason = f"{len(passes)} lights; {reason}"
+    return Effect("relight", True, reason, usual, sum(p.steps for p in passes))
+
+
+def _guidance_effect(
+    facts: Facts, passes: tuple[GuidedPass, ...], options: RelightOptions
+) -> Effect:
+    evaluations = sum(p.contrasts for p in passes)
+    whole = options.guidance_interval == (0.0, 1.0)
+    if evaluations:
+        first, last = options.guidance_interval
+        some = "" if whole else f", from {first:.0%} to {last:.0%} of the steps"
+        return Effect("guidance", True, f"γ = {options.gamma:g}{some}", whole, evaluations)
+    if options.gamma == 1.0:
+        reason = "γ = 1 adds nothing"
+    elif not facts.object_seen:
+        reason = "there is no object to guide"
+    elif not any(light.contrast for light in facts.lights):
+        reason = "both branches have the same shadow"
+    else:
+        return Effect("guidance", False, "in none of the steps", exact=False)
+    return Effect("guidance", False, reason)
+
+
+def _blending_effect(passes: tuple[GuidedPass, ...], options: RelightOptions) -> Effect:
+    encodes = sum(sum(p.encoded) for p in passes)
+    if encodes:
+        return Effect("shadow blending", True, f"β = {options.beta:g}; {encodes} encoded")
+    if options.beta == 0.0:
+        return Effect("shadow blending", False, "β = 0 adds nothing")
+    if options.steps == 1:
+        return Effect("shadow blending", False, "the last step is not blended")
+    return Effect("shadow blending", False, "no shadow covers a latent")
+
+
+def _plain_effect(facts: Facts, plain: PlainPass, options: RelightOptions) -> Effect:
+    name = "pass without shadow"
+    if plain.source == "remembered":
+        return Effect(name, False, "known from an earlier relight of this scene and seed")
+    if plain.source == "relight":
+        return Effect(name, False, "no shadow is in the picture: the relight itself is one")
+    shared = f", once for {len(facts.lights)} lights" if len(facts.lights) > 1 else ""
+    reason = f"what the shadow is measured against{shared}"
+    same = plain.steps == options.steps
+    fewer = "" if same else f", in {plain.steps} steps"
+    return Effect(name, True, reason + fewer, same, plain.evaluations)
+
+
+def _switch(said: str) -> tuple[bool, str]:
+    """``on: why`` or ``off: why`` as a switch and a reason."""
+    state, _, reason = said.partition(": ")
+    return state == "on", reason
+
+
+def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
+    """The plan with predicted seconds."""
+    size = facts.latents
+    evaluation, condition = costs.evaluation.at(size), costs.condition.at(size)
+    decode, encode = costs.decode.at(size), costs.encode.at(size)
+    negatives = sum(p.branches - 1 for p in plan.passes)
+    ran = plan.plain.source == "run"
+    extra = {
+        "relight": len(plan.passes) * (condition + decode),
+        "guidance": negatives * condition,
+        "shadow blending": encode * sum(sum(p.encoded) for p in plan.passes),
+        "pass without shadow": (condition + decode) * ran,
+        "composite": costs.composite(facts.pixels, facts.native),
+    }
+    priced = tuple(
+        effect
+        if effect.seconds is not None
+        else replace(effect, seconds=effect.evaluations * evaluation + extra.get(effect.name, 0.0))
+        for effect in plan.effects
+    )
+    return replace(plan, effects=priced)

@@ -1,0 +1,82 @@
+"""What a plan needs to know of a scene and its lights, read off what was prepared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from spotlight_runtime.geometry.lights import Light
+from spotlight_runtime.planning.rules import Facts
+from spotlight_runtime.relighting.guides import Guide
+from spotlight_runtime.relighting.preparation import Prepared, guidance_mask, light_facts
+from spotlight_spec import BackboneSpec
+
+__all__ = ["scene_facts", "softness"]
+
+
+def scene_facts(
+    spec: BackboneSpec,
+    prepared: Prepared,
+    *,
+    soft: str,
+    denoised: str,
+    remembered: bool,
+    seconds: float,
+) -> Facts:
+    """Facts of a prepared relight.
+
+    Parameters
+    ----------
+    spec : BackboneSpec
+    prepared : Prepared
+    soft : str
+        As `softness` says it.
+    denoised : str
+        ``on``, or why not.
+    remembered : bool
+        Whether the picture without shadow is known.
+    seconds : float
+        How long preparing took.
+
+    Returns
+    -------
+    Facts
+    """
+    view, window = prepared.view, prepared.window
+    height, width = view.size
+    scale = spec.latent.downscale
+    return Facts(
+        lights=tuple(light_facts(spec, view, shadows) for shadows in prepared.shadows),
+        object_seen=bool(guidance_mask(spec, view).any()),
+        latents=(height // scale) * (width // scale),
+        pixels=window.frame[0] * window.frame[1],
+        native=window.native,
+        window=_said(prepared),
+        remembered=remembered,
+        softness=soft,
+        denoised=denoised,
+        prepared_seconds=seconds,
+        own_steps=spec.schedule.steps,
+    )
+
+
+def softness(guide: Guide | Sequence[Guide]) -> str:
+    """``on: …`` or ``off: why``: whether lights cast soft shadows."""
+    guides = tuple(guide) if isinstance(guide, Sequence) else (guide,)
+    lights = [each for each in guides if isinstance(each, Light)]
+    if not lights:
+        return "off: the shadows came ready"
+    soft = sum(light.radius > 0.0 for light in lights)
+    if not soft:
+        return "off: a light without size needs one ray a pixel"
+    return f"on: {soft} of {len(guides)} lights have a size"
+
+
+def _said(prepared: Prepared) -> str:
+    window = prepared.window
+    height, width = window.size
+    if window.native:
+        return f"the whole photograph, {width}×{height}"
+    return (
+        f"{window.width}×{window.height} of {window.frame[1]}×{window.frame[0]} pixels, "
+        f"diffused at {width}×{height}"
+    )

@@ -9,6 +9,7 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
     ├── InvalidInputError (ValueError)       an array or option is out of its domain
     │   ├── ShapeError                       wrong size or number of channels
     │   ├── NonFiniteError                   NaN or infinity in an input
+    │   ├── BudgetError                      fewer seconds than any plan takes
     │   ├── GroundError                      no floor where one is needed
     │   └── LightError                       a light below the floor, or in the object
     ├── DtypeError (TypeError)               an array of the wrong element type
@@ -32,6 +33,7 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
 from __future__ import annotations
 
 __all__ = [
+    "BudgetError",
     "DtypeError",
     "GraphContractError",
     "GroundError",
@@ -70,6 +72,10 @@ class ShapeError(InvalidInputError):
 
 class NonFiniteError(InvalidInputError):
     """An input holds NaN or infinity."""
+
+
+class BudgetError(InvalidInputError):
+    """Fewer seconds than any plan takes."""
 
 
 class GroundError(InvalidInputError):

@@ -14,9 +14,9 @@ from support.scenes import make_scene, make_shadow
 from spotlight_runtime import GuidingShadow, Intrinsics, RelightOptions
 from spotlight_runtime.imaging.colour import linear_to_gamma22, linear_to_srgb
 from spotlight_runtime.relighting.canvas import Canvas
+from spotlight_runtime.relighting.finishing import layer
 from spotlight_runtime.relighting.layers import SOFT_BORDER, window_layer
 from spotlight_runtime.relighting.mixing import Mix
-from spotlight_runtime.relighting.passes import layer
 from spotlight_runtime.relighting.preparation import prepare_window
 from spotlight_runtime.relighting.putback import put_back
 from spotlight_runtime.relighting.window import Window, look, shrink

@@ -123,7 +123,7 @@ def test_any_format_under_any_name(here, tmp_path, name):
     out.parent.mkdir(exist_ok=True)
     done = relight(output=out)
     assert done.exit_code == 0, done.output
-    assert f"{out}: 12 evaluations" in done.output
+    assert f"{out}: exact plan, 12 evaluations" in done.output
     assert read_image(out).shape == (24, 32, 3)
 
 
@@ -204,7 +204,7 @@ def test_process_relights_and_prints_one_summary(place, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
-    assert f"{out}: 12 evaluations, " in done.stderr
+    assert f"{out}: exact plan, 12 evaluations, " in done.stderr
     assert read_image(out).shape == (24, 32, 3)
     assert json.loads(report.read_text())["evaluations"] == 12
 

@@ -445,7 +445,7 @@ def test_options_by_name(relighter, options, scene, shadow):
 def test_every_option_has_its_name():
     assert list(OptionChanges.__annotations__) == list(RelightOptions.__dataclass_fields__)
     with pytest.raises(TypeError, match="gama"):
-        RelightOptions.of(None, {"gama": 3.0})
+        Relighter(tiny_spec(), {}).prepare(make_scene(), make_shadow(make_scene()), gama=3.0)
 
 
 def test_preview_of_the_last_step_is_the_prediction(relighter, options, scene, shadow):

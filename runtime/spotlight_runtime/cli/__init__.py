@@ -9,6 +9,7 @@ import typer
 from spotlight_runtime.cli.compose import compose
 from spotlight_runtime.cli.demo import demo
 from spotlight_runtime.cli.models import models
+from spotlight_runtime.cli.plan import plan
 from spotlight_runtime.cli.relight import relight
 from spotlight_runtime.cli.shadow import shadow
 from spotlight_runtime.errors import SpotLightError
@@ -29,7 +30,7 @@ def _about() -> None:
     """Relight an object in a photograph by its shadow, on any CPU."""
 
 
-for _command in (demo, compose, shadow, relight, models):
+for _command in (demo, compose, shadow, plan, relight, models):
     app.command()(_command)
 
 

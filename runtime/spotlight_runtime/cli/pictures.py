@@ -14,11 +14,11 @@ from spotlight_runtime.cli.progress import drained, progress_bars
 from spotlight_runtime.imaging.images import write_image
 from spotlight_runtime.relighting.guides import GuidingShadow
 from spotlight_runtime.relighting.mixing import Mix
-from spotlight_runtime.relighting.passes import Task
 from spotlight_runtime.relighting.preview import preview, preview_each
 from spotlight_runtime.relighting.relighter import Relighter
 from spotlight_runtime.relighting.result import RelightResult
 from spotlight_runtime.relighting.sweep import Tile, contact_sheet, make_tile, write_animation
+from spotlight_runtime.relighting.tasks import Task
 from spotlight_runtime.scenes.scene import Scene
 
 __all__ = ["Picture", "relit", "shadow_of", "sketches", "write_sheet"]
@@ -106,5 +106,9 @@ def shadow_of(guides: tuple[GuidingShadow, ...]) -> FloatArray:
 
 def _finished(result: RelightResult) -> Picture:
     seconds = sum(result.timings.values())
-    summary = f"{result.evaluations} evaluations, {seconds:.1f} s"
+    predicted = result.plan.seconds
+    foretold = "" if predicted is None else f" (predicted {predicted:.1f})"
+    summary = (
+        f"{result.plan.name} plan, {result.evaluations} evaluations, {seconds:.1f} s{foretold}"
+    )
     return Picture(result.image, result.guides, result.report(), summary)

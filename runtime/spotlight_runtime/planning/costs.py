@@ -20,7 +20,7 @@ import numpy as np
 
 from spotlight_spec import write_json
 
-__all__ = ["Costs", "Line", "cache_path", "machine", "read_costs", "write_costs"]
+__all__ = ["Costs", "Line", "cache_path", "read_costs", "write_costs"]
 
 VERSION: Final = 1
 """Of the cache file; files of another version are measured anew."""
@@ -100,17 +100,10 @@ class Costs:
         return cls(**lines)
 
 
-def machine(threads: int | None) -> str:
-    """What times depend on besides the model: processor, cores in use, ONNX Runtime."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    facts = [platform.node(), platform.machine(), _processor(), str(usable), str(threads)]
-    return "; ".join([*facts, "onnxruntime " + version("onnxruntime")])
-
-
 def cache_path(model: str, threads: int | None) -> Path:
     """Where the costs of a model on this machine are kept."""
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    digest = hashlib.sha256(f"{model}\n{machine(threads)}".encode()).hexdigest()
+    digest = hashlib.sha256(f"{model}\n{_machine(threads)}".encode()).hexdigest()
     return root / "spotlight-relight" / "costs" / f"{digest[:24]}.json"
 
 
@@ -123,19 +116,21 @@ def read_costs(path: Path) -> Costs | None:
         return None
 
 
-def write_costs(path: Path, costs: Costs, model: str, threads: int | None) -> None:
+def write_costs(path: Path, costs: Costs) -> None:
     """Keep costs, where the cache can be written to; write-then-rename."""
-    record = {
-        "version": VERSION,
-        "model": model,
-        "machine": machine(threads),
-        "costs": asdict(costs),
-    }
+    record = {"version": VERSION, "costs": asdict(costs)}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, record)
     except OSError:
         return  # they are measured again next time
+
+
+def _machine(threads: int | None) -> str:
+    """What times depend on besides the model: processor, cores in use, ONNX Runtime."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    facts = [platform.node(), platform.machine(), _processor(), str(usable), str(threads)]
+    return "; ".join([*facts, "onnxruntime " + version("onnxruntime")])
 
 
 def _processor() -> str:

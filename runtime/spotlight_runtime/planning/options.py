@@ -130,11 +130,6 @@ class RelightOptions:
                 f"detail: expected {', '.join(get_args(Detail))}, got {self.detail!r}"
             )
 
-    @classmethod
-    def of(cls, options: RelightOptions | None, changes: OptionChanges) -> RelightOptions:
-        """The options, or the defaults where there are none, with these changed."""
-        return replace(options or cls(), **changes)
-
     def steps_for(self, spec: BackboneSpec) -> int:
         """Number of denoising steps with this backbone.
 

@@ -130,7 +130,7 @@ class Plan:
     def seconds(self) -> float | None:
         """Predicted time of it all; None where the machine has not been measured."""
         known = [effect.seconds for effect in self.effects if effect.seconds is not None]
-        return sum(known) if known else None
+        return sum(known) if len(known) == len(self.effects) else None
 
     def calls(self) -> dict[str, int]:
         """How often each graph will be run; ``denoiser`` stands for a controlnet and its unet."""

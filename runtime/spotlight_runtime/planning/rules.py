@@ -86,7 +86,7 @@ class Facts:
 
 
 def make_plan(
-    facts: Facts, options: RelightOptions, costs: Costs | None = None, name: str = "custom"
+    facts: Facts, options: RelightOptions, costs: Costs | None = None, name: str | None = None
 ) -> Plan:
     """Decide what is run.
 
@@ -97,8 +97,8 @@ def make_plan(
         With numbers of steps.
     costs : Costs, optional
         To predict seconds with.
-    name : str
-        What the options are called.
+    name : str, optional
+        What the options are called; by default ``exact`` or ``custom``.
 
     Returns
     -------
@@ -112,11 +112,12 @@ def make_plan(
         _blending_effect(passes, options),
         _plain_effect(facts, plain, options),
         Effect("soft shadows", *_switch(facts.softness), seconds=facts.prepared_seconds),
-        Effect("window", not facts.native, facts.window, exact=facts.native),
+        Effect("window", not facts.native, facts.window, exact=options.window != "tight"),
         Effect("denoiser", *_switch(facts.denoised)),
         Effect("composite", True, "puts light and shadow into the photograph"),
     )
-    plan = Plan(passes, plain, effects, options.batch_branches, name)
+    usual = "exact" if all(effect.exact for effect in effects) else "custom"
+    plan = Plan(passes, plain, effects, options.batch_branches, name or usual)
     return plan if costs is None else _priced(plan, facts, costs)
 
 
@@ -128,8 +129,9 @@ def _guided_pass(facts: Facts, light: LightFacts, options: RelightOptions) -> Gu
     if not options.skip:
         return GuidedPass(steps, (first, last), (True, True))
     encoded = tuple(blended and each for each in light.blendable)
-    contrasted = options.gamma != 1.0 and facts.object_seen and light.contrast and first < last
-    if not contrasted:
+    # The release draws each branch's latents anew, so equal shadows part once they are blended.
+    differ = light.contrast or (options.fidelity == "release" and any(encoded))
+    if options.gamma == 1.0 or not (facts.object_seen and differ and first < last):
         return GuidedPass(steps, (0, 0), encoded[:1])
     return GuidedPass(steps, (first, last), encoded)
 

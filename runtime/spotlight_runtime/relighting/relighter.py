@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -20,16 +19,17 @@ from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
 from spotlight_runtime.networks.models import LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
-from spotlight_runtime.planning.costs import Costs
-from spotlight_runtime.planning.options import OptionChanges, RelightOptions
-from spotlight_runtime.planning.rules import make_plan
+from spotlight_runtime.planning.costs import Costs, cache_path, read_costs, write_costs
+from spotlight_runtime.planning.options import RelightOptions
+from spotlight_runtime.planning.plan import Plan
 from spotlight_runtime.relighting import passes
-from spotlight_runtime.relighting.facts import scene_facts, softness
-from spotlight_runtime.relighting.guides import Guide, Negative, guiding_shadows
-from spotlight_runtime.relighting.passes import Task
-from spotlight_runtime.relighting.preparation import loop_inputs, prepare_window
-from spotlight_runtime.relighting.remembered import CAPACITY, Remembered, plain_key
-from spotlight_runtime.relighting.result import Progress, RelightResult, Stopwatch
+from spotlight_runtime.relighting.calibration import measure_costs
+from spotlight_runtime.relighting.finishing import result
+from spotlight_runtime.relighting.guides import Guide, Negative
+from spotlight_runtime.relighting.preparation import loop_inputs
+from spotlight_runtime.relighting.remembered import CAPACITY, Remembered
+from spotlight_runtime.relighting.result import Progress, RelightResult
+from spotlight_runtime.relighting.tasks import Task, Wishes, prepare_task
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
 
@@ -51,11 +51,13 @@ class Relighter:
         Facts about the model for reports.
     remember : int
         Bytes of pictures without shadow to keep for further lights of a scene; 0: none.
+    costs_file : Path, optional
+        Where it is kept what the stages cost on this machine.
 
     Attributes
     ----------
-    costs : Costs, optional
-        What stages cost on this machine, to predict times with.
+    costs : Costs or None
+        What they cost, to predict times with; None where it was not measured yet.
     """
 
     def __init__(
@@ -66,13 +68,15 @@ class Relighter:
         low_memory: bool = False,
         model: dict[str, Any] | None = None,
         remember: int = CAPACITY,
+        costs_file: Path | None = None,
     ) -> None:
         self.spec = spec
         self._networks = networks
         self._low_memory = low_memory
         self._model = model or {}
         self._remembered = Remembered(remember)
-        self.costs: Costs | None = None
+        self._costs_file = costs_file
+        self.costs = None if costs_file is None else read_costs(costs_file)
 
     @classmethod
     def load(
@@ -111,12 +115,14 @@ class Relighter:
         networks = open_networks(
             folder, providers=providers, threads=threads, verify_files=verify_files
         )
+        facts = folder.summary()
         return cls(
             folder.manifest.backbone,
             networks,
             low_memory=low_memory,
-            model=folder.summary(),
+            model=facts,
             remember=remember,
+            costs_file=cache_path(f"{facts['fingerprint']} {facts['precision']}", threads),
         )
 
     def relight(
@@ -125,7 +131,7 @@ class Relighter:
         light: Guide | Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> RelightResult:
         """Relight the object of a scene.
 
@@ -142,12 +148,15 @@ class Relighter:
             shadow.
         options : RelightOptions, optional
         **changes
-            Single options by name: ``gamma=3.0, seed=469``.
+            Single options by name: ``gamma=3.0, seed=469``; a named ``plan`` or a ``budget`` in
+            seconds that they start from (`spotlight_runtime.relighting.tasks.Wishes`).
 
         Raises
         ------
         InvalidInputError
             If a light, shadow or option is out of its domain.
+        BudgetError
+            If no plan fits the budget.
         MissingMapError
             If the scene lacks a map the backbone needs.
         NumericalError
@@ -167,7 +176,7 @@ class Relighter:
         lights: Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> list[RelightResult]:
         """Relight under each light alone: one picture a light, of one window and seed.
 
@@ -182,7 +191,7 @@ class Relighter:
         light: Guide | Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> Generator[Progress, None, RelightResult]:
         """Do as `relight`, yielding after each step, returning the result; close it to cancel."""
         return (yield from self.start(self.prepare(scene, light, negative, options, **changes)))
@@ -193,7 +202,7 @@ class Relighter:
         lights: Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> Generator[Progress | RelightResult, None, None]:
         """Do as `relight_each`, yielding progress and, as each picture is done, its result."""
         yield from self.start_each(self.prepare(scene, lights, negative, options, **changes))
@@ -204,31 +213,49 @@ class Relighter:
         light: Guide | Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> Task:
         """Cast shadows, choose the window and bring everything to the model's scale.
 
         What comes out is all that is needed; who lets go of the scene here has a relight of a
         12-megapixel photograph in half the memory. Parameters and errors are those of `relight`.
         """
-        chosen = RelightOptions.of(options, changes).for_backbone(self.spec)
-        denoised = passes.denoising(self.spec, chosen)  # an error about it now, not after the loop
-        stopwatch = Stopwatch()
-        with stopwatch.stage("prepare"):
-            guides = guiding_shadows(scene, light, negative)
-            prepared = prepare_window(self.spec, scene, guides, chosen.window)
-            key = plain_key(prepared.view, chosen, denoised)
-        no_shadow = self._remembered.get(key) if chosen.skip else None
-        facts = scene_facts(
-            self.spec,
-            prepared,
-            soft=softness(light),
-            denoised=denoised,
-            remembered=no_shadow is not None,
-            seconds=stopwatch.seconds["prepare"],
+        return prepare_task(
+            self.spec, scene, light, negative, options, changes, self._remembered, self._costs_for
         )
-        plan = make_plan(facts, chosen, self.costs)
-        return Task(prepared, chosen, plan, denoised, stopwatch, key, no_shadow)
+
+    def plan(
+        self,
+        scene: Scene,
+        light: Guide | Sequence[Guide],
+        negative: Negative | None = None,
+        options: RelightOptions | None = None,
+        **changes: Unpack[Wishes],
+    ) -> Plan:
+        """What `relight` would do, why, and how long it would take; no picture is made.
+
+        Parameters and errors are those of `relight`.
+        """
+        self.calibrated()
+        return self.prepare(scene, light, negative, options, **changes).plan
+
+    def calibrated(self, *, again: bool = False) -> Costs:
+        """What the stages cost on this machine, measured in about a second where it is not known.
+
+        Parameters
+        ----------
+        again : bool
+            Measure, whatever is known.
+        """
+        if self.costs is None or again:
+            measured = Relighter(self.spec, self._networks, remember=0)
+            self.costs = measure_costs(
+                self.spec,
+                lambda scene, shadow, options: measured.relight(scene, shadow, options=options),
+            )
+            if self._costs_file is not None:
+                write_costs(self._costs_file, self.costs)
+        return self.costs
 
     def start(self, task: Task) -> Generator[Progress, None, RelightResult]:
         """`run`, of what `prepare` made."""
@@ -244,7 +271,7 @@ class Relighter:
         predicted = [self._develop(task, z) for z in latents]
         no_shadow = self._no_shadow(task, plain, predicted[0])
         self._release("vae_decoder")
-        return passes.result(self.spec, task, predicted, no_shadow, self._model)
+        return result(self.spec, task, predicted, no_shadow, self._model)
 
     def start_each(self, task: Task) -> Generator[Progress | RelightResult, None, None]:
         """`run_each`, of what `prepare` made."""
@@ -259,7 +286,7 @@ class Relighter:
                 plain = yield from self._plain(task, inputs.initial_noise)
                 no_shadow = self._no_shadow(task, plain, predicted)
             alone = task.only(number)
-            yield passes.result(self.spec, alone, [predicted], no_shadow, self._model)
+            yield result(self.spec, alone, [predicted], no_shadow, self._model)
         self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
 
     def preview_of(self, progress: Progress) -> FloatArray:
@@ -286,11 +313,11 @@ class Relighter:
         light: Guide,
         negative: Negative | None = None,
         options: RelightOptions | None = None,
-        **changes: Unpack[OptionChanges],
+        **changes: Unpack[Wishes],
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
-        complete = replace(RelightOptions.of(options, changes), skip=False)
-        return self._inputs(self.prepare(scene, light, negative, complete), 0)
+        changes["skip"] = False  # all there is, whether or not a relight calls for it
+        return self._inputs(self.prepare(scene, light, negative, options, **changes), 0)
 
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
@@ -302,6 +329,9 @@ class Relighter:
         solver, fidelity (noise level of the blend), guidance_rescale and batch_branches apply.
         """
         return passes.guided_pass(self._networks, self.spec, inputs, options or RelightOptions())
+
+    def _costs_for(self, needed: bool) -> Costs | None:
+        return self.calibrated() if needed else self.costs
 
     def _inputs(self, task: Task, number: int) -> LoopInputs:
         prepared, planned = task.prepared, task.plan.passes[number]

@@ -1,0 +1,90 @@
+"""Measures what the stages of a relight cost on this machine, in about a second.
+
+Whole relights of made-up scenes at three sizes are run and their own stopwatches read, so what is
+predicted later is what was measured here, by the same code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.planning.costs import Costs, Line
+from spotlight_runtime.planning.options import RelightOptions
+from spotlight_runtime.relighting.result import RelightResult
+from spotlight_runtime.scenes.scene import Intrinsics, Scene
+from spotlight_spec import BackboneSpec
+
+__all__ = ["measure_costs"]
+
+Relight = Callable[[Scene, FloatArray, RelightOptions], RelightResult]
+
+STEPS: Final = 2
+LARGE: Final = 4
+"""Sides of the backbone's size in a photograph that is diffused in a window."""
+
+
+def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
+    """Measure.
+
+    Parameters
+    ----------
+    spec : BackboneSpec
+    relight : callable
+        ``relight(scene, shadow, options)``, remembering nothing.
+
+    Returns
+    -------
+    Costs
+    """
+    half, whole = spec.size // 2, spec.size
+
+    def run(side: int) -> dict[str, float]:
+        scene, shadow = _made_up(side)
+        return relight(scene, shadow, RelightOptions(steps=STEPS, skip=False)).timings
+
+    run(half)  # opens the sessions
+    small, full, large = run(half), run(whole), run(LARGE * whole)
+    scale = spec.latent.downscale
+    latents = [float((side // scale) ** 2) for side in (half, whole, whole)]
+    measured = (small, full, large)
+
+    def line(calls: int, *stages: str) -> Line:
+        seconds = [sum(run.get(stage, 0.0) for stage in stages) / calls for run in measured]
+        return Line.through(latents, seconds)
+
+    return Costs(
+        evaluation=line(3 * STEPS, "relight", "no shadow"),
+        condition=line(3, "condition"),
+        encode=line(2, "encode"),
+        decode=line(2, "decode", "denoise"),
+        frame=Line.through(
+            [float(half**2), float(whole**2)], [small["composite"], full["composite"]]
+        ),
+        window=Line(0.0, large["composite"] / (LARGE * whole) ** 2),
+    )
+
+
+def _made_up(side: int) -> tuple[Scene, FloatArray]:
+    """A disc on a plain floor and its shadow; with all maps, for any backbone."""
+    rows, columns = np.mgrid[:side, :side].astype(np.float32) / np.float32(side)
+    disc = (np.hypot(rows - 0.45, columns - 0.5) < 0.2).astype(np.float32)
+    shadow = (np.hypot(rows - 0.6, columns - 0.65) < 0.15).astype(np.float32)
+
+    def maps(cover: FloatArray, tone: float) -> Intrinsics:
+        normal = np.zeros((side, side, 3), np.float32)
+        normal[..., 2] = cover
+        return Intrinsics(
+            albedo=np.repeat(cover[..., None], 3, axis=2) * np.float32(tone),
+            normal=normal,
+            depth=cover * (np.float32(3.0) - rows),
+            roughness=cover * np.float32(0.6),
+            metallic=np.zeros_like(cover),
+        )
+
+    background = np.repeat((0.3 + 0.3 * rows)[..., None], 3, axis=2).astype(np.float32)
+    scene = Scene(background, maps(np.ones_like(disc), 0.6), maps(disc, 0.4), disc)
+    return scene, shadow * (np.float32(1.0) - disc)

@@ -1,0 +1,211 @@
+"""A relight made ready: what is asked for, planned and prepared, before any network runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, cast
+
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.diffusion.sampler import Step
+from spotlight_runtime.errors import BudgetError, InvalidInputError
+from spotlight_runtime.planning.costs import Costs
+from spotlight_runtime.planning.ladder import PlanName, named_rung, read_ladder
+from spotlight_runtime.planning.options import OptionChanges, RelightOptions, WindowMode
+from spotlight_runtime.planning.plan import Plan
+from spotlight_runtime.planning.rules import make_plan
+from spotlight_runtime.relighting.facts import scene_facts, softness
+from spotlight_runtime.relighting.guides import Guide, Negative, guiding_shadows
+from spotlight_runtime.relighting.passes import denoising
+from spotlight_runtime.relighting.preparation import Prepared, prepare_window
+from spotlight_runtime.relighting.remembered import Remembered, plain_key
+from spotlight_runtime.relighting.result import PassName, Progress, Stopwatch
+from spotlight_runtime.scenes.scene import Scene
+from spotlight_spec import BackboneSpec
+
+__all__ = ["Task", "Wishes", "check_wishes", "prepare_task"]
+
+
+class Wishes(OptionChanges, total=False):
+    """Keywords of a relight: options by name, and a plan or a budget they start from.
+
+    Attributes
+    ----------
+    plan : {"exact", "balanced", "draft"}
+        The named plan (`spotlight_runtime.planning.ladder`).
+    budget : float
+        Seconds the relight may take on this machine: the most accurate plan that fits is run.
+    """
+
+    plan: PlanName
+    budget: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """A relight made ready to run.
+
+    Attributes
+    ----------
+    prepared : Prepared
+    options : RelightOptions
+        With nothing left to default.
+    plan : Plan
+        What is to be run.
+    denoised : str
+        ``on``, or why not.
+    stopwatch : Stopwatch
+    plain_key : str
+        Names the picture without shadow, of this scene, seed and these steps.
+    no_shadow : ndarray of float32, shape (h, w, 3), optional
+        That picture, where it is known from before.
+    """
+
+    prepared: Prepared
+    options: RelightOptions
+    plan: Plan
+    denoised: str
+    stopwatch: Stopwatch
+    plain_key: str
+    no_shadow: FloatArray | None = None
+
+    @property
+    def lights(self) -> int:
+        """How many lights there are."""
+        return len(self.prepared.guides)
+
+    def fresh(self) -> Task:
+        """The same with a stopwatch of its own, for one more run."""
+        return replace(self, stopwatch=Stopwatch(self.stopwatch.seconds))
+
+    def only(self, number: int) -> Task:
+        """The same with one of its lights."""
+        plan = self.plan.only(number, first=number == 0)
+        return replace(self, prepared=self.prepared.only(number), plan=plan)
+
+    def drain(
+        self, trajectory: Iterator[Step], stage: PassName, light: int, steps: int
+    ) -> Generator[Progress, None, FloatArray]:
+        """Yield progress of a pass and return its final latents; the caller's time is not counted.
+
+        Parameters
+        ----------
+        trajectory : iterator of Step
+        stage : {"relight", "no shadow"}
+        light : int
+            Which light the pass is for.
+        steps : int
+            How many it has.
+        """
+        while True:
+            with self.stopwatch.stage(stage):
+                step = next(trajectory)
+            yield Progress(stage, step, steps, light, self.lights, self.prepared.window)
+            if step.index == steps - 1:
+                return step.latents
+
+
+def prepare_task(
+    spec: BackboneSpec,
+    scene: Scene,
+    light: Guide | Sequence[Guide],
+    negative: Negative | None,
+    options: RelightOptions | None,
+    wishes: Wishes,
+    remembered: Remembered,
+    costs: Callable[[bool], Costs | None],
+) -> Task:
+    """Cast shadows, choose the plan and the window, and bring everything to the model's scale.
+
+    Parameters
+    ----------
+    spec : BackboneSpec
+    scene : Scene
+    light, negative, options
+        As `Relighter.relight` takes them.
+    wishes : Wishes
+        Changes to the options, a plan or a budget.
+    remembered : Remembered
+        Pictures without shadow known from before.
+    costs : callable
+        ``costs(needed)`` → what stages cost here; where not needed, None will do.
+
+    Returns
+    -------
+    Task
+
+    Raises
+    ------
+    InvalidInputError
+        If a light, shadow, option, plan or budget is out of its domain.
+    BudgetError
+        If no plan fits the budget.
+    """
+    choices, budget = _choices(options, wishes)
+    known = costs(budget is not None)  # measured, if it must be, before the clock starts
+    stopwatch = Stopwatch()
+    for _, first in choices[:1]:
+        denoising(spec, first)  # an error about it now, not after the loop
+    with stopwatch.stage("prepare"):
+        guides = guiding_shadows(scene, light, negative)
+
+    @cache
+    def prepared_in(mode: WindowMode) -> Prepared:
+        with stopwatch.stage("prepare"):
+            return prepare_window(spec, scene, guides, mode)
+
+    quickest = math.inf
+    for name, choice in choices:
+        chosen = choice.for_backbone(spec)
+        prepared = prepared_in(chosen.window)
+        with stopwatch.stage("prepare"):
+            denoised = denoising(spec, chosen)
+            key = plain_key(prepared.view, chosen, denoised)
+            no_shadow = remembered.get(key) if chosen.skip else None
+        facts = scene_facts(
+            spec,
+            prepared,
+            soft=softness(light),
+            denoised=denoised,
+            remembered=no_shadow is not None,
+            seconds=stopwatch.seconds["prepare"],
+        )
+        plan = make_plan(facts, chosen, known, name)
+        if budget is None or (plan.seconds is not None and plan.seconds <= budget):
+            return Task(prepared, chosen, plan, denoised, stopwatch, key, no_shadow)
+        quickest = min(quickest, plan.seconds or math.inf)
+    raise BudgetError(
+        f"budget: expected at least {quickest:.2g} s, which the quickest plan takes for this scene "
+        f"on this machine, got {budget:g} s"
+    )
+
+
+def check_wishes(wishes: Wishes, options: RelightOptions | None = None) -> None:
+    """Raise what `prepare_task` would raise about options, plan and budget alone.
+
+    Raises
+    ------
+    InvalidInputError
+    """
+    _choices(options, wishes)
+
+
+def _choices(
+    options: RelightOptions | None, wishes: Wishes
+) -> tuple[list[tuple[str | None, RelightOptions]], float | None]:
+    """Options to choose from, the most accurate first, and the budget to choose by."""
+    changes: dict[str, Any] = dict(wishes)
+    plan, budget = changes.pop("plan", None), changes.pop("budget", None)
+    base = options or RelightOptions()
+    if plan is not None and budget is not None:
+        raise InvalidInputError(f"plan, budget: expected one of them, got {plan!r} and {budget!r}")
+    if plan is not None:
+        rung = named_rung(cast("str", plan))
+        return [(rung.name, replace(base, **(rung.options | changes)))], None
+    if budget is None:
+        return [(None, replace(base, **changes))], None
+    if not isinstance(budget, int | float) or not 0.0 < budget < math.inf:
+        raise InvalidInputError(f"budget: expected seconds above 0, got {budget!r}")
+    return [(r.name, replace(base, **(r.options | changes))) for r in read_ladder()], budget

@@ -10,6 +10,7 @@ BUILTINS = {
     "InvalidInputError": ValueError,
     "ShapeError": ValueError,
     "NonFiniteError": ValueError,
+    "BudgetError": ValueError,
     "GroundError": ValueError,
     "LightError": ValueError,
     "DtypeError": TypeError,

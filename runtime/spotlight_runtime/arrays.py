@@ -1,4 +1,4 @@
-"""Array types, and the one check every array from outside passes."""
+"""Array types, and the checks that arrays from outside and out of networks pass."""
 
 from __future__ import annotations
 
@@ -7,9 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spotlight_runtime.errors import DtypeError, InvalidInputError, NonFiniteError, ShapeError
+from spotlight_runtime.errors import (
+    DtypeError,
+    InvalidInputError,
+    NonFiniteError,
+    NumericalError,
+    ShapeError,
+)
 
-__all__ = ["BoolArray", "FloatArray", "check_array", "pad_edge", "sparse_copy"]
+__all__ = ["BoolArray", "FloatArray", "check_array", "pad_edge", "require_finite", "sparse_copy"]
 
 FloatArray = npt.NDArray[np.floating[Any]]
 """Float32 wherever pixels and latents flow; the same functions accept float64."""
@@ -49,6 +55,32 @@ def check_array(
         raise InvalidInputError(
             f"{name}: expected values in [{limits[0]:g}, {limits[1]:g}], got [{low:g}, {high:g}]"
         )
+
+
+def require_finite(
+    array: FloatArray,
+    stage: str,
+    remedy: str = "if the model is fp16 or int8, it may overflow: try one of precision fp32",
+) -> None:
+    """Raise unless every value is finite: of all a network says, where it says it.
+
+    Parameters
+    ----------
+    array : ndarray of float
+    stage : str
+        What it is, with the step where there is one: begins the message.
+    remedy : str
+        Ends it.
+
+    Raises
+    ------
+    NumericalError
+        Naming the stage, how many values are not finite, and the remedy.
+    """
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = int(array.size - finite.sum())
+        raise NumericalError(f"{stage}: {bad} of {array.size} values are NaN or infinite; {remedy}")
 
 
 def pad_edge(array: FloatArray, size: tuple[int, int]) -> FloatArray:

@@ -100,5 +100,7 @@ def test_network_that_fails_is_named():
     def network(image):
         return {"maps": np.full((1, 7, *image.shape[2:]), np.nan, np.float32)}
 
-    with pytest.raises(NumericalError, match=r"attic: the estimator returned NaN.*--albedo"):
+    with pytest.raises(
+        NumericalError, match=r"attic: estimating the maps: 28672 of 28672 .*--albedo"
+    ):
         estimate_intrinsics(network, Photograph(np.ones((64, 64, 3), np.float32), name="attic"))

@@ -255,9 +255,9 @@ def test_broken_network_is_one_line_too(place, tmp_path):
     arguments = ["relight", "ball", "--shadow", "left.png", "-o", str(tmp_path / "out.png")]
     done = spotlight(*arguments, "--model", str(model), "--no-denoise", cwd=place)
     assert done.returncode == 1
-    errors = [line for line in done.stderr.splitlines() if "non-finite" in line]
+    errors = [line for line in done.stderr.splitlines() if "NaN or infinite" in line]
     assert len(errors) == 1
-    assert errors[0].startswith("spotlight: step 0 (timestep 999)")
+    assert errors[0].startswith("spotlight: pass 'relight', step 0 (timestep 999)")
     assert "Warning" not in done.stderr
 
 

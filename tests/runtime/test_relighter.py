@@ -237,7 +237,9 @@ def test_more_steps_than_the_backbone_has_is_said_before_any_work(options, scene
 @pytest.mark.parametrize("gain", [np.inf, np.nan, 1e38])
 def test_backbone_that_overflows_names_the_step(tmp_path, options, scene, shadow, gain):
     broken = Relighter.load(write_backbone(tmp_path / "broken", gain=gain), threads=1)
-    with pytest.raises(NumericalError, match=r"step \d \(timestep \d+\): the network's prediction"):
+    with pytest.raises(
+        NumericalError, match=r"step \d \(timestep \d+\): the denoiser's prediction"
+    ):
         broken.relight(scene, shadow, options=options)
 
 

@@ -116,7 +116,7 @@ def test_prediction_that_is_not_finite_names_the_step(rng, bad, at):
     run = sample(broken, rng.standard_normal((1, *LATENT), dtype=np.float32), solver_of(4))
     for _ in range(at):
         next(run)
-    named = rf"step {at} \(timestep {timesteps[at]}\): the network's prediction has 1 non-finite"
+    named = rf"step {at} \(timestep {timesteps[at]}\): the network's prediction: 1 of 60"
     with pytest.raises(NumericalError, match=named):
         next(run)
 
@@ -126,7 +126,7 @@ def test_latents_that_are_not_finite_name_the_step(rng):
     spoil = lambda index, z: z * np.float32(np.nan if index == 1 else 1.0)  # noqa: E731
     run = sample(network, start, solver_of(4), blend=spoil)
     next(run)
-    with pytest.raises(NumericalError, match=r"step 1 \(timestep 749\): the latents has 60"):
+    with pytest.raises(NumericalError, match=r"step 1 \(timestep 749\): the latents: 60 of 60"):
         next(run)
 
 

@@ -15,9 +15,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import FloatArray, require_finite
 from spotlight_runtime.composing.photograph import Photograph
-from spotlight_runtime.errors import NumericalError
 from spotlight_runtime.imaging.colour import linear_to_srgb, luma
 from spotlight_runtime.imaging.upsampling import magnify_rows
 from spotlight_runtime.networks.sessions import Network
@@ -86,11 +85,11 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
     picture = linear_to_srgb(resized(photograph.radiance, (high, wide)))
     image = np.ascontiguousarray(picture.transpose(2, 0, 1)[None])
     maps = np.asarray(network(image=image)["maps"], dtype=np.float32)
-    if not np.isfinite(maps).all():
-        raise NumericalError(
-            f"{photograph.name}: the estimator returned NaN or infinity for the photograph; "
-            "give the maps instead (--albedo, --normal, --depth)"
-        )
+    require_finite(
+        maps,
+        f"{photograph.name}: estimating the maps",
+        "give them instead (--albedo, --normal, --depth)",
+    )
     planes = maps[0].transpose(1, 2, 0)
     length = np.linalg.norm(planes[..., 3:6], axis=2, keepdims=True)
     return Intrinsics(

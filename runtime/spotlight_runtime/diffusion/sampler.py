@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import FloatArray, require_finite
 from spotlight_runtime.diffusion.blending import add_noise, blend_shadow
 from spotlight_runtime.diffusion.guidance import masked_guidance, rescale_guidance
 from spotlight_runtime.diffusion.solvers import Solver
@@ -25,6 +25,8 @@ from spotlight_runtime.errors import NumericalError, ShapeError
 
 __all__ = ["Fidelity", "LoopInputs", "Predict", "Step", "sample", "shadow_guided"]
 
+SMALLER: Final = "the prediction is finite but too large: lower gamma, or use another model"
+"""What helps where arithmetic overflows, not a network."""
 Fidelity = Literal["paper", "release"]
 Predict = Callable[[FloatArray, int], FloatArray]
 """``predict(latents (branches, C, h, w), timestep) -> v`` of the same shape. Asked for fewer
@@ -131,19 +133,25 @@ def sample(
     Raises
     ------
     NumericalError
-        If a prediction or the latents are not finite, naming the step.
+        If a prediction or the latents are not finite, naming the step; also what ``predict``
+        raises, with the step in front.
     """
     last = len(solver.schedule) - 1
     for index, timestep in enumerate(solver.schedule.timesteps.tolist()):
-        v = predict(latents if branches is None else latents[: branches(index)], timestep)
+        where = f"step {index} (timestep {timestep})"
+        try:
+            v = predict(latents if branches is None else latents[: branches(index)], timestep)
+        except NumericalError as error:
+            raise NumericalError(f"{where}: {error}") from error
+        require_finite(v, f"{where}: the network's prediction")
         with np.errstate(over="ignore", invalid="ignore"):  # an error below, not a warning first
             if combine is not None and len(v) > 1:
                 v = combine(v)
-            _require_finite(v, "the network's prediction", index, timestep)
+                require_finite(v, f"{where}: the guided prediction", SMALLER)
             latents, denoised = solver.step(index, latents, v)
             if blend is not None and index < last:
                 latents = blend(index, latents)
-        _require_finite(latents, "the latents", index, timestep)
+        require_finite(latents, f"{where}: the latents", SMALLER)
         yield Step(index, timestep, latents, denoised)
 
 
@@ -211,12 +219,3 @@ def shadow_guided(
         blend if beta > 0.0 and inputs.shadow_mask.any() else None,
         branches,
     )
-
-
-def _require_finite(array: FloatArray, what: str, index: int, timestep: int) -> None:
-    if not np.isfinite(array).all():
-        bad = int(array.size - np.isfinite(array).sum())
-        raise NumericalError(
-            f"step {index} (timestep {timestep}): {what} has {bad} non-finite values of "
-            f"{array.size}; a half-precision or quantised model may overflow: try precision fp32"
-        )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import FloatArray, require_finite
 from spotlight_runtime.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ def denoise(
     ------
     MissingExtraError
         If Open Image Denoise is not installed.
+    NumericalError
+        If it returns NaN or infinity.
     """
     require_denoiser()
     with _without_torch():
@@ -68,7 +70,9 @@ def denoise(
     if albedo is not None and normal is not None:
         auxiliaries["normal"] = np.ascontiguousarray(normal)
     clean: Any = pyoidn.denoise(np.ascontiguousarray(linear), quality="high", **auxiliaries)
-    return np.clip(np.asarray(clean, dtype=np.float32), 0.0, 1.0)
+    picture = np.asarray(clean, dtype=np.float32)
+    require_finite(picture, "denoising the picture", "relight without it (--no-denoise)")
+    return np.clip(picture, 0.0, 1.0)
 
 
 @contextmanager

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.errors import NumericalError
+from spotlight_runtime.arrays import FloatArray, require_finite
 from spotlight_runtime.networks.sessions import Network
 from spotlight_spec import BackboneSpec
 
@@ -38,11 +37,14 @@ def encode_image(
     pixels = (np.float32(2.0) * encoded - np.float32(1.0)).transpose(2, 0, 1)[None]
     posterior = networks["vae_encoder"](image=np.ascontiguousarray(pixels))
     z = posterior["latent_mean"]
-    if posterior_noise is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
+    require_finite(z, "encoding the rough composite")
+    with np.errstate(over="ignore", invalid="ignore"):  # an error below, not a warning first
+        if posterior_noise is not None:
+            require_finite(posterior["latent_std"], "encoding the rough composite (its deviation)")
             z = z + posterior["latent_std"] * posterior_noise
-    _require_finite(z, "encoding the rough composite")
-    return z * np.float32(spec.latent.scaling_factor)
+        z = z * np.float32(spec.latent.scaling_factor)
+    require_finite(z, "scaling the rough composite's latents")
+    return z
 
 
 def encode_conditioning(networks: Mapping[str, Network], conditioning: FloatArray) -> FloatArray:
@@ -52,9 +54,9 @@ def encode_conditioning(networks: Mapping[str, Network], conditioning: FloatArra
     """
     encoder = networks["condition_encoder"]
     each = [encoder(conditioning=branch[None])["condition"] for branch in conditioning]
-    condition = np.concatenate(each)
-    _require_finite(condition, "encoding the conditioning")
-    return condition
+    for branch, condition in enumerate(each):
+        require_finite(condition, f"encoding the conditioning (branch {branch})")
+    return np.concatenate(each)
 
 
 def decode_latents(
@@ -63,17 +65,8 @@ def decode_latents(
     """``D(z/s)`` of latents of shape (1, C, h, w): encoded image (H, W, 3), clipped to [0, 1]."""
     with np.errstate(over="ignore"):
         z = latents / np.float32(spec.latent.scaling_factor)
-    _require_finite(z, "unscaling the latents")
+    require_finite(z, "unscaling the latents")
     image = networks["vae_decoder"](latents=z)["image"][0]
-    _require_finite(image, "decoding the latents")
+    require_finite(image, "decoding the latents")
     pixels = np.clip(image * np.float32(0.5) + np.float32(0.5), 0.0, 1.0)
     return np.ascontiguousarray(pixels.transpose(1, 2, 0))
-
-
-def _require_finite(array: FloatArray, stage: str) -> None:
-    if not np.isfinite(array).all():
-        bad = int(array.size - np.isfinite(array).sum())
-        raise NumericalError(
-            f"{stage}: {bad} of {array.size} values are not finite; "
-            "if the model is fp16 or int8, try fp32"
-        )

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.arrays import FloatArray, require_finite
 from spotlight_runtime.diffusion.sampler import Predict
 from spotlight_runtime.diffusion.schedule import alphas_cumprod
 from spotlight_runtime.errors import (
@@ -175,17 +175,23 @@ def predictor(
     Returns
     -------
     callable
-        Each call is one denoiser evaluation a branch it is asked for.
+        Each call is one denoiser evaluation a branch it is asked for. It raises NumericalError
+        where a graph's output is not finite, naming the graph; the loop adds the step.
     """
     alphas = alphas_cumprod(schedule)
 
+    def ask(graph: str, timestep: int, **inputs: FloatArray) -> dict[str, FloatArray]:
+        outputs = networks[graph](timestep=np.array([timestep], dtype=np.int64), **inputs)
+        for name, value in outputs.items():
+            require_finite(value, f"the {graph}'s {name}")
+        return outputs
+
     def evaluate(latents: FloatArray, timestep: int, encoded: FloatArray) -> FloatArray:
-        t = np.array([timestep], dtype=np.int64)
         if "denoiser" in networks:
-            output = networks["denoiser"](latents=latents, timestep=t, condition=encoded)
+            output = ask("denoiser", timestep, latents=latents, condition=encoded)
         else:
-            residuals = networks["controlnet"](latents=latents, timestep=t, condition=encoded)
-            output = networks["unet"](latents=latents, timestep=t, **residuals)
+            residuals = ask("controlnet", timestep, latents=latents, condition=encoded)
+            output = ask("unet", timestep, latents=latents, **residuals)
         return output["prediction"]
 
     def predict(latents: FloatArray, timestep: int) -> FloatArray:

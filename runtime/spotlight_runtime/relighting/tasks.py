@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.sampler import Step
-from spotlight_runtime.errors import BudgetError, InvalidInputError
+from spotlight_runtime.errors import BudgetError, InvalidInputError, NumericalError
 from spotlight_runtime.planning.costs import Costs
 from spotlight_runtime.planning.ladder import PlanName, named_rung, read_ladder
 from spotlight_runtime.planning.options import OptionChanges, RelightOptions, WindowMode
@@ -98,10 +98,19 @@ class Task:
             Which light the pass is for.
         steps : int
             How many it has.
+
+        Raises
+        ------
+        NumericalError
+            If something is not finite, naming pass and step.
         """
         while True:
             with self.stopwatch.stage(stage):
-                step = next(trajectory)
+                try:
+                    step = next(trajectory)
+                except NumericalError as error:
+                    of = f" of light {light + 1}" if self.lights > 1 else ""
+                    raise NumericalError(f"pass '{stage}'{of}, {error}") from error
             yield Progress(stage, step, steps, light, self.lights, self.prepared.window)
             if step.index == steps - 1:
                 return step.latents

@@ -61,8 +61,19 @@ def composited(
     return k * predicted * mask + background * (1.0 - mask) * ratio
 
 
+def linear_light(encoded: Tensor) -> Tensor:
+    """Linear light of gamma 2.2 pixels."""
+    return encoded.clamp(0.0, 1.0) ** 2.2
+
+
+def linear_of_srgb(encoded: Tensor) -> Tensor:
+    """Linear light of sRGB pixels (IEC 61966-2-1)."""
+    x = encoded.clamp(0.0, 1.0)
+    return torch.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
 def displayed(encoded: Tensor) -> Tensor:
     """Gamma 2.2 pixels as sRGB ones (IEC 61966-2-1), both in [0, 1]."""
-    linear = encoded.clamp(0.0, 1.0) ** 2.2
+    linear = linear_light(encoded)
     curve = 1.055 * linear ** (1.0 / 2.4) - 0.055
     return torch.where(linear <= 0.0031308, 12.92 * linear, curve)

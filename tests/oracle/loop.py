@@ -10,6 +10,7 @@ from torch import Tensor
 
 from .guidance import masked_guidance, rescaled_guidance
 from .schedule import ddim_step, noise_levels, noised
+from .solvers import SOLVERS, multistep_levels
 
 Fidelity = Literal["release", "paper"]
 Predict = Callable[[Tensor, int, Tensor], Tensor]
@@ -35,12 +36,13 @@ class Draws:
 
 @dataclass(frozen=True)
 class Knobs:
-    """γ, β, φ, and whose reading of the method is followed."""
+    """γ, β, φ, whose reading of the method is followed, and who solves the equation."""
 
     gamma: float = 3.0
     beta: float = 0.05
     phi: float = 0.0
     fidelity: Fidelity = "release"
+    solver: str = "ddim"
 
 
 def blend_level(step: int, levels: list[Tensor], fidelity: Fidelity) -> Tensor:
@@ -49,8 +51,12 @@ def blend_level(step: int, levels: list[Tensor], fidelity: Fidelity) -> Tensor:
 
 
 def blended(z: Tensor, noised_composite: Tensor, mask: Tensor, beta: float) -> Tensor:
-    """Eq. 1: z̃_t = (1 − β·m_shw,↓)·z_t + β·m_shw,↓·noise(E(g), t)."""
-    return (1.0 - beta * mask) * z + beta * mask * noised_composite
+    """Eq. 1: z̃_t = (1 − β·m_shw,↓)·z_t + β·m_shw,↓·noise(E(g), t).
+
+    It is a mixture: edges, whose mask is 2, take over wholly from β = 0.5 on, and never more.
+    """
+    weight = (beta * mask).clamp(max=1.0)
+    return (1.0 - weight) * z + weight * noised_composite
 
 
 def renderer_alone(
@@ -85,6 +91,9 @@ def spotlight(
     The last pair is unblended: what is blended there could no longer be refined.
     """
     levels = noise_levels(timesteps, alpha_bar, final_alpha_bar)
+    step_pos, step_neg = SOLVERS[knobs.solver](levels), SOLVERS[knobs.solver](levels)
+    if knobs.solver != "ddim":
+        levels = multistep_levels(levels)
     z_pos, z_neg = draws.initial, draws.initial
     history = []
     for step, t in enumerate(timesteps):
@@ -93,8 +102,7 @@ def spotlight(
         v = masked_guidance(v_pos, v_neg, m_obj, knobs.gamma)
         if knobs.phi > 0.0:
             v = rescaled_guidance(v, v_pos, m_obj, knobs.phi)
-        z_pos = ddim_step(z_pos, v, levels[step], levels[step + 1])
-        z_neg = ddim_step(z_neg, v, levels[step], levels[step + 1])
+        z_pos, z_neg = step_pos(step, z_pos, v), step_neg(step, z_neg, v)
         if step < len(timesteps) - 1:
             epsilon = draws.blends[step] if knobs.fidelity == "release" else draws.initial
             level = blend_level(step, levels, knobs.fidelity)

@@ -36,6 +36,18 @@ def noised(z_0: Tensor, epsilon: Tensor, alpha_bar: Tensor) -> Tensor:
     return alpha_bar.sqrt() * z_0 + (1.0 - alpha_bar).sqrt() * epsilon
 
 
+def v_from_epsilon(epsilon: Tensor, z_t: Tensor, alpha_bar: Tensor) -> Tensor:
+    """v = √ᾱ·ε − √(1−ᾱ)·z_0 with z_0 = (z_t − √(1−ᾱ)·ε)/√ᾱ; undefined at ᾱ = 0."""
+    z_0 = (z_t - (1.0 - alpha_bar).sqrt() * epsilon) / alpha_bar.sqrt()
+    return alpha_bar.sqrt() * epsilon - (1.0 - alpha_bar).sqrt() * z_0
+
+
+def v_from_z_0(z_0: Tensor, z_t: Tensor, alpha_bar: Tensor) -> Tensor:
+    """v = √ᾱ·ε − √(1−ᾱ)·z_0 with ε = (z_t − √ᾱ·z_0)/√(1−ᾱ)."""
+    epsilon = (z_t - alpha_bar.sqrt() * z_0) / (1.0 - alpha_bar).sqrt()
+    return alpha_bar.sqrt() * epsilon - (1.0 - alpha_bar).sqrt() * z_0
+
+
 def ddim_step(z_t: Tensor, v: Tensor, alpha_bar_t: Tensor, alpha_bar_s: Tensor) -> Tensor:
     """One deterministic DDIM step from level t to level s, from a v-prediction.
 

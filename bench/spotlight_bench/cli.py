@@ -34,9 +34,11 @@ def main() -> None:
         sys.exit(
             f"spotlight-bench: {', '.join(missing)} missing; pip install 'spotlight-relight[bench]'"
         )
+    from spotlight_bench.combinations_command import combinations
     from spotlight_bench.evaluate_command import evaluate
 
-    app.command()(evaluate)
+    for command in (evaluate, combinations):
+        app.command()(command)
     try:
         app()
     except (BenchError, SpotLightError, OSError) as error:

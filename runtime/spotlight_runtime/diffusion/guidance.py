@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 
 __all__ = ["masked_guidance", "rescale_guidance"]
+
+LEAST_DEVIATION: Final = 2.0**-20
+"""Of a prediction's largest value: a deviation below it is float32 rounding, and to divide by it
+would multiply the prediction by millions."""
 
 
 def masked_guidance(
@@ -42,8 +48,8 @@ def rescale_guidance(
     """Pull the guided prediction's deviation on the object back to the positive branch's.
 
     Lin et al. 2023, eq. 15–16, with both deviations taken over the object (mask > 0.5) only. An
-    object too small to have one there, or a constant prediction, leaves nothing to restore: the
-    prediction is returned unchanged.
+    object too small to have one there, or a prediction that is constant but for rounding, leaves
+    nothing to restore: the prediction is returned unchanged.
 
     Parameters
     ----------
@@ -61,6 +67,6 @@ def rescale_guidance(
     if phi == 0.0 or not inside.any():
         return guided
     target, present = (float(v[inside].std(dtype=np.float64)) for v in (v_pos, guided))
-    if target == 0.0 or present == 0.0:
+    if target == 0.0 or present <= LEAST_DEVIATION * float(np.abs(guided[inside]).max()):
         return guided
     return guided * (1.0 + phi * (target / present - 1.0))

@@ -12,7 +12,7 @@ setup: $(VENV)/.installed ## virtual environment with everything the tests need
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	python3 -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench,service]'
 	touch $@
 
 demo:           ## relight a scene that comes along from eight directions: demo.png

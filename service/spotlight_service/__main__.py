@@ -1,0 +1,5 @@
+"""``python -m spotlight_service``."""
+
+from spotlight_service.command import main
+
+main()

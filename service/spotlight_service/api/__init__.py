@@ -1,0 +1,1 @@
+"""Routes, one file a subject; each checks, asks a store or the studio, and answers."""

@@ -1,0 +1,166 @@
+"""``spotlight-serve``: run the service, and its keys."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spotlight_runtime.errors import SpotLightError
+from spotlight_service.problems import ProblemError
+
+__all__ = ["main"]
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Serve relighting by REST, with a page to try it.",
+    epilog="Start with:  spotlight-serve,  then open http://127.0.0.1:8471/",
+)
+keys = typer.Typer(no_args_is_help=True, help="API keys; needed beyond this machine.")
+app.add_typer(keys, name="keys")
+
+Data = Annotated[Path | None, typer.Option(help="Folder of database, scenes and results.")]
+
+
+@app.callback(invoke_without_command=True)
+def serve(
+    context: typer.Context,
+    data: Data = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen at.", show_default="127.0.0.1")
+    ] = None,
+    port: Annotated[int | None, typer.Option(show_default="8471")] = None,
+    model: Annotated[
+        list[str] | None, typer.Option(help="Model; repeat for several.", show_default="mini")
+    ] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads of one inference.")] = None,
+    queue: Annotated[
+        int | None, typer.Option(help="Jobs that may wait.", show_default="32")
+    ] = None,
+    insecure_open: Annotated[
+        bool, typer.Option("--insecure-open", help="Listen beyond this machine without keys.")
+    ] = False,
+    ray: Annotated[
+        bool, typer.Option("--ray", help="Relight on Ray Serve replicas (extra 'ray').")
+    ] = False,
+    replicas: Annotated[
+        int, typer.Option(help="With --ray: most replicas to scale out to.", min=1)
+    ] = 2,
+) -> None:
+    """Serve until told to stop. Further settings are SPOTLIGHT_SERVE_* in the environment."""
+    if context.invoked_subcommand is not None:
+        return
+    given = {
+        "data": data,
+        "host": host,
+        "port": port,
+        "models": tuple(model) if model else None,
+        "threads": threads,
+        "queue": queue,
+        "insecure_open": insecure_open or None,
+    }
+    _serve({name: value for name, value in given.items() if value is not None}, ray, replicas)
+
+
+@keys.command("add")
+def add_key(
+    name: Annotated[str, typer.Argument(help="Who it is for.")],
+    scope: Annotated[
+        list[str] | None, typer.Option(help="read, write, metrics.", show_default="read, write")
+    ] = None,
+    per_minute: Annotated[int | None, typer.Option(help="Requests a minute.", min=1)] = None,
+    data: Data = None,
+) -> None:
+    """Make a key and print it; it is not shown again."""
+    print(_key_store(data).create(name, scope or ("read", "write"), per_minute))
+
+
+@keys.command("list")
+def list_keys(data: Data = None) -> None:
+    """Names and scopes of all keys."""
+    for key in _key_store(data).listed():
+        state = "revoked" if key["revoked"] else key["scopes"]
+        print(f"{key['id']}  {key['name']}  {state}")
+
+
+@keys.command("revoke")
+def revoke_key(
+    key: Annotated[str, typer.Argument(help="Its id, as `list` shows it.")], data: Data = None
+) -> None:
+    """Make a key void at once."""
+    if not _key_store(data).revoke(key):
+        print(f"spotlight-serve: {key}: expected the id of a key that is valid", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
+    import uvicorn
+
+    from spotlight_runtime.networks.models import resolve_model
+    from spotlight_service.app import create_app
+    from spotlight_service.logs import configure_logging
+    from spotlight_service.settings import Settings
+
+    settings = Settings(**given)
+    for model in settings.models:
+        resolve_model(model)  # now, not in a worker that dies again and again
+    scratch = settings.data / "scratch"
+    scratch.mkdir(parents=True, exist_ok=True, mode=0o700)
+    tempfile.tempdir = str(scratch)  # uploads, too, on the disk whose space is watched
+    configure_logging()
+    crew: Any = "own"
+    if ray:
+        from spotlight_service.ray_serving import RayCrew
+
+        crew = RayCrew(settings, replicas)
+    service = create_app(settings, crew)
+    needs_keys = service.state.service.access.needs_keys()
+    if not (settings.loopback or needs_keys or settings.insecure_open):
+        raise RuntimeError(
+            f"host: expected a loopback address while there is no API key, got {settings.host}; "
+            "make one (spotlight-serve keys add NAME), or say --insecure-open"
+        )
+    uvicorn.run(
+        service,
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=int(settings.stop_s),
+        timeout_keep_alive=30,
+        limit_concurrency=None,
+    )
+
+
+def _key_store(data: Path | None) -> Any:
+    from spotlight_service.security.keys import KeyStore
+    from spotlight_service.settings import Settings
+    from spotlight_service.storage.database import Database
+
+    settings = Settings() if data is None else Settings(data=data)
+    return KeyStore(Database(settings.data / "service.db"))
+
+
+def main() -> None:
+    """Entry point: what is wrong is one line on stderr and exit code 1."""
+    try:
+        app()
+    except ImportError as error:
+        print(
+            f"spotlight-serve: {error.name or error} is missing: "
+            "pip install 'spotlight-relight[service]' (and [ray] for --ray)",
+            file=sys.stderr,
+        )
+        sys.exit(1)
+    except (SpotLightError, ProblemError, OSError, RuntimeError, ValueError) as error:
+        print("spotlight-serve:", " ".join(str(error).split()), file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

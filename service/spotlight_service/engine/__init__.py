@@ -1,0 +1,1 @@
+"""What computes, in processes of its own: workers relight, the studio does everything else."""

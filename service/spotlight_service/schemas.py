@@ -1,0 +1,143 @@
+"""What requests look like; the runtime checks the meaning, these check the form."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["DrawnLight", "PlacedLight", "PlanName", "RelightRequest", "ShadowRequest"]
+
+PlanName = Literal["exact", "balanced", "draft"]
+
+MOST_LIGHTS: Final = 16
+SCENE_ID: Final = r"^[0-9a-f]{64}$"
+SAMPLE_ID: Final = "0" * 64
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Colour = Annotated[
+    tuple[
+        Annotated[Finite, Field(ge=0)],
+        Annotated[Finite, Field(ge=0)],
+        Annotated[Finite, Field(ge=0)],
+    ],
+    Field(description="Linear red, green, blue of this light where several are combined."),
+]
+Weight = Annotated[Finite, Field(ge=0, description="Share of this light among several.")]
+Base64Picture = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=12_000_000,
+        description="A PNG, JPEG or WebP picture in base64 (a canvas's data: URL will do); "
+        "white is shadow. Addresses are not fetched.",
+    ),
+]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class PlacedLight(_Strict):
+    """A light by its place, which casts its shadow."""
+
+    azimuth: Finite | None = Field(
+        None, description="Degrees round the object: 0 right, 90 behind, 180 left, 270 in front."
+    )
+    elevation: Finite | None = Field(None, ge=-90, le=90, description="Degrees above the floor.")
+    radius: Finite = Field(
+        1.0, ge=0, description="Softness: its size, in object sizes; degrees if directional."
+    )
+    distance: Finite | None = Field(
+        10.0, gt=0, description="In object sizes; null for a light infinitely far away."
+    )
+    position: tuple[Finite, Finite, Finite] | None = Field(
+        None, description="Metres, instead of azimuth, elevation and distance."
+    )
+    frame: Literal["world", "camera"] = "world"
+    weight: Weight = 1.0
+    colour: Colour = (1.0, 1.0, 1.0)
+
+
+class DrawnLight(_Strict):
+    """A light by its shadow, drawn or painted."""
+
+    shadow: Base64Picture
+    negative: Base64Picture | None = Field(
+        None, description="Shadow of the opposite light, likewise; none by default."
+    )
+    softness: Finite | None = Field(
+        None, ge=0, le=1000, description="Pixels over which the drawing's edges fade."
+    )
+    invert: bool = Field(False, description="The drawing is black on white.")
+    weight: Weight = 1.0
+    colour: Colour = (1.0, 1.0, 1.0)
+
+
+Lights = Annotated[list[PlacedLight | DrawnLight], Field(min_length=1, max_length=MOST_LIGHTS)]
+SceneId = Annotated[str, Field(pattern=SCENE_ID, description="As POST /v1/scenes gives it.")]
+
+
+class ShadowRequest(_Strict):
+    """Lights to sketch."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"lights": [{"azimuth": 135, "elevation": 45}]}]},
+    )
+
+    lights: Lights
+    show: Literal["sketch", "shadow"] = Field(
+        "sketch", description="The object in its shadow, or the guiding shadow, white on black."
+    )
+    side: int = Field(768, ge=64, le=2048, description="Pixels of the longer side; never enlarged.")
+
+
+class RelightRequest(_Strict):
+    """A picture to make."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "scene": SAMPLE_ID,
+                    "lights": [{"azimuth": 135, "elevation": 45, "radius": 1.0}],
+                    "plan": "exact",
+                    "seed": 469,
+                }
+            ]
+        },
+    )
+
+    scene: SceneId
+    lights: Lights
+    negative: Literal["opposite", "none"] | PlacedLight | None = Field(
+        None, description="What the guidance contrasts with; the opposite light by default."
+    )
+    sweep: bool = Field(
+        False, description="Each light a picture of its own, together on a contact sheet."
+    )
+    model: str = Field("mini", min_length=1, max_length=200)
+    plan: PlanName | None = Field(None, description="How much accuracy to trade for time; exact.")
+    budget_s: Finite | None = Field(
+        None, gt=0, le=86400, description="Instead of a plan: seconds it may take."
+    )
+    deadline_s: Finite | None = Field(
+        None, gt=0, description="Seconds from now until the job is given up."
+    )
+    gamma: Finite = Field(3.0, ge=0, le=20, description="How strongly the shadow steers shading.")
+    beta: Finite = Field(
+        0.05, ge=0, le=1, description="How strongly the shadow enters the picture."
+    )
+    seed: int = Field(469, ge=0, le=2**63 - 1)
+    steps: int | None = Field(None, ge=1, le=1000)
+    solver: Literal["ddim", "dpmpp_2m", "unipc"] = "ddim"
+    fidelity: Literal["paper", "release"] = "paper"
+    window: Literal["auto", "frame", "tight"] = "auto"
+    detail: Literal["auto", "renderer", "maps"] = "auto"
+
+    def options(self) -> dict[str, Any]:
+        """The fields that are `RelightOptions`'."""
+        names = ("gamma", "beta", "seed", "steps", "solver", "fidelity", "window", "detail")
+        return {name: getattr(self, name) for name in names}

@@ -1,0 +1,1 @@
+"""What survives: jobs and keys in SQLite, scenes and results on disk."""

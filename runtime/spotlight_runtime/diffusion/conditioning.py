@@ -28,6 +28,8 @@ __all__ = [
 
 SHADOW_THRESHOLD = 0.1
 """Shading is hidden from the network where the guiding shadow exceeds this."""
+BARELY_COVERED = 1e-4
+"""Coverage up to which a premultiplied depth is too small a number to divide by it."""
 
 
 def over(foreground: FloatArray, alpha: FloatArray, background: FloatArray) -> FloatArray:
@@ -79,8 +81,9 @@ def partial_shading(
     ndarray of float32, shape (H, W, 3)
     """
     # Interpolated maps may dip below 0 by a hair; there the quotient would change sign.
-    quotient = background / (np.maximum(albedo, np.float32(0.0)) + np.float32(epsilon))
-    shading = np.clip(quotient, entry.minimum, entry.maximum)
+    divisor = np.maximum(albedo, np.float32(0.0)) + np.float32(epsilon)
+    with np.errstate(over="ignore"):  # of the brightest radiances; it is clipped
+        shading = np.clip(background / divisor, entry.minimum, entry.maximum)
     return np.where(hidden[..., None], np.float32(_fill(entry)), shading)
 
 
@@ -94,8 +97,9 @@ def align_depth(
 
     With a footprint, the least-squares fit ``m·d_foot + c ≈ d_bg`` over its pixels; without one,
     the shift that puts the object's nearest depth onto the smallest background depth under the
-    mask. Where the fit has no positive slope to give (fewer than two distinct depths, or a
-    background that slopes the other way), m = 1 and c is the mean difference.
+    mask (an object that covers next to nothing stays where it is). Where the fit has no positive
+    slope to give (fewer than two distinct depths, or a background that slopes the other way),
+    m = 1 and c is the mean difference.
 
     Parameters
     ----------
@@ -123,7 +127,7 @@ def align_depth(
         return 1.0, float(ground.mean() - foot.mean())
     covered = object_mask > 0.5
     if not covered.any():
-        covered = object_mask > 0.0
+        covered = object_mask > BARELY_COVERED
         if not covered.any():
             return 1.0, 0.0
     nearest = float((object_depth[covered] / object_mask[covered]).min())

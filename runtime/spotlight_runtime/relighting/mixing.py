@@ -62,7 +62,10 @@ class Mix:
         if len(guides) == 1:  # a single light is all there is, whatever its weight and colour
             return cls(np.ones((1, 3), dtype=np.float32), (0,))
         order = sorted(range(len(guides)), key=lambda i: _key(guides[i]))
-        given = np.array([[guide.weight * c for c in guide.colour] for guide in guides])
+        # Brought to one first, numbers near the ends of float64 neither overflow nor vanish.
+        weights = _of_largest(np.array([guide.weight for guide in guides]))
+        colours = _of_largest(np.array([guide.colour for guide in guides]))
+        given = weights[:, None] * colours
         total = given[order].sum(axis=0)
         if not (total > 0.0).all():
             dark = ", ".join(n for n, t in zip(("red", "green", "blue"), total) if t <= 0.0)
@@ -78,6 +81,12 @@ class Mix:
         for i in self.order:
             total += self.shares[i] * pictures[i]
         return total
+
+
+def _of_largest(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Values ≥ 0 as shares of the largest; zeros where there is nothing else."""
+    largest = values.max()
+    return values / largest if largest > 0.0 else np.zeros(values.shape)
 
 
 def _key(guide: GuidingShadow) -> tuple[float, Vector, bytes]:

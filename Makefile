@@ -3,7 +3,7 @@ VENV ?= .venv
 EDGE_VENV ?= .venv-edge
 BIN := $(VENV)/bin
 
-.PHONY: help setup demo test lint types unit edge test-full format clean
+.PHONY: help setup demo test lint types unit edge test-full fuzz format clean
 
 help:           ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -44,6 +44,10 @@ edge:           ## build the wheel, install it without torch, run the runtime's 
 
 test-full: setup ## full-size export, verification and relight: half an hour, 16 GB of memory
 	$(BIN)/pytest -m full -s
+
+fuzz: setup     ## coverage-guided fuzzing of every parser: half an hour, goes on where it ended
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,scene,fuzz]'
+	PYTHONPATH=tests $(BIN)/python -m fuzz.guided --minutes $(or $(MINUTES),35)
 
 format: setup   ## rewrite in the house style
 	$(BIN)/ruff check --fix .

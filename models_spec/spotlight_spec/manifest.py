@@ -8,6 +8,7 @@ manifest is not a model and a changed or truncated file is noticed before it run
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -178,7 +179,7 @@ class Manifest:
         ]
         for entry in self.files:
             path = folder / entry.path
-            if not path.is_file():
+            if not os.path.isfile(path):  # unlike Path.is_file, False for impossible names too
                 problems.append(f"{entry.path} is missing")
             elif path.stat().st_size != entry.bytes:
                 problems.append(

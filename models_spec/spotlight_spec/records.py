@@ -67,11 +67,12 @@ def read_json(path: Path) -> Any:
         raise RecordError(f"{path}: {name} is not a JSON number; write a finite value")
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        keys = [key for key, _ in pairs]
-        twice = [key for key in keys if keys.count(key) > 1]
-        if twice:
-            raise RecordError(f"{path}: key {twice[0]!r} is given twice; keep one of them")
-        return dict(pairs)
+        found: dict[str, Any] = {}
+        for key, value in pairs:  # counting each key among all takes hours of a hostile file
+            if key in found:
+                raise RecordError(f"{path}: key {key!r} is given twice; keep one of them")
+            found[key] = value
+        return found
 
     try:
         text = path.read_text(encoding="utf-8")
@@ -179,7 +180,10 @@ def _decode_scalar(kind: Any, value: Any, where: str) -> Any:
 
 
 def _mismatch(where: str, expected: str, value: Any) -> RecordError:
-    shown = repr(value)
+    try:
+        shown = repr(value)
+    except RecursionError:  # nested just less deep than the parser allows
+        shown = f"a {type(value).__name__} nested too deep"
     if len(shown) > 60:
         shown = shown[:57] + "..."
     return RecordError(f"{where}: expected {expected}, got {shown}")

@@ -16,7 +16,7 @@ from the builtin a caller would expect, so ``except ValueError`` works too.
     ├── MissingMapError (LookupError)        the scene lacks a map the backbone needs
     ├── ImageFileError (OSError)             an image that cannot be read or written
     ├── SceneError (ValueError)              a scene bundle that is not one
-    │   └── UnsafePathError                  a path that leaves the bundle or the model's folder
+    │   └── UnsafePathError                  a path that leaves the folder of the file naming it
     ├── ProductError (ValueError)            a 3-D model or cut-out that cannot be used
     ├── PlacementError (ValueError)          an object that cannot be put where it was asked
     ├── ModelError (RuntimeError)
@@ -107,7 +107,7 @@ class SceneError(SpotLightError, ValueError):
 
 
 class UnsafePathError(SceneError):
-    """A file named by a scene or a model lies outside its folder."""
+    """A file named by a scene, a model or a list of lights lies outside its folder."""
 
 
 class ProductError(SpotLightError, ValueError):

@@ -82,7 +82,7 @@ def read_cutout(path: str | Path, mask: str | Path | None = None) -> Cutout:
     path = Path(path)
     picture = read_photograph(path)
     if mask is not None:
-        pixels = read_image(mask)
+        pixels = np.clip(np.nan_to_num(read_image(mask)), 0.0, 1.0)
         colour = pixels.ndim == 3 and pixels.shape[2] >= 3
         cover = luma(pixels[..., :3]) if colour else pixels.reshape(*pixels.shape[:2], -1)[..., 0]
         if cover.shape != picture.size:

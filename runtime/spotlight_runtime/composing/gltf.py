@@ -36,6 +36,8 @@ _COMPONENTS: Final = {
     5125: np.uint32,
     5126: np.float32,
 }
+MAX_SPARSE: Final = 10_000_000
+"""Values of an accessor that has none of its own: as many as the largest model has triangles."""
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _UNDERSTOOD: Final = {
     "EXT_texture_webp",
@@ -99,6 +101,11 @@ class GltfFile:
             data = self.view(entry["bufferView"])
             values = self._strided(data, entry.get("byteOffset", 0), stride, count, width, kind)
         elif "sparse" in entry:
+            if count > MAX_SPARSE:
+                raise ProductError(
+                    f"{self.path}: accessor {index} claims {count} values that are not in the "
+                    f"file, more than the limit of {MAX_SPARSE}; export the model again"
+                )
             values = np.zeros((count, width), dtype=kind)
         else:
             raise ProductError(

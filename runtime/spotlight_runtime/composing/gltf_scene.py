@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.composing import product
 from spotlight_runtime.composing.gltf import GltfFile, open_gltf
 from spotlight_runtime.composing.materials import (
     Material,
@@ -23,6 +25,9 @@ from spotlight_runtime.errors import InvalidInputError, ProductError
 
 __all__ = ["gltf_variants", "read_gltf"]
 
+
+MAX_TEXELS: Final = 1 << 28
+"""Of all images: sixty-four of the largest that are kept, two gigabytes."""
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _WRAPS: Final[dict[int, Wrap]] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
@@ -47,10 +52,11 @@ def read_gltf(path: Path, variant: str | None = None) -> list[Piece]:
     InvalidInputError
         If there is no such variant.
     """
-    file = open_gltf(path)
     try:
-        return list(_Reader(file, _variant_index(file, variant)).pieces())
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        file = open_gltf(path)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+            return list(_Reader(file, _variant_index(file, variant)).pieces())
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         # What is wrong with the JSON shows where it is used; errors of the package pass.
         if type(error).__module__.startswith("spotlight_runtime"):
             raise
@@ -85,17 +91,28 @@ class _Reader:
         self._file = file
         self._variant = variant
         self._pixels: dict[int, npt.NDArray[Any]] = {}
+        self._textures: dict[tuple[int, bool, tuple[Wrap, Wrap]], Texture] = {}
+        self._texels = 0
         self._materials: dict[int | None, Material] = {None: Material(roughness=1.0)}
 
     def pieces(self) -> Iterator[Piece]:
         tree = self._file.tree
+        corners = 0
         for node, matrix in self._nodes():
             if "mesh" not in node:
                 continue
             for primitive in tree["meshes"][node["mesh"]]["primitives"]:
                 mode = primitive.get("mode", _TRIANGLES)
                 if mode in (_TRIANGLES, _STRIP, _FAN) and "POSITION" in primitive["attributes"]:
-                    yield self._piece(primitive, mode, matrix)
+                    piece = self._piece(primitive, mode, matrix)
+                    # A small file may show its mesh a million times.
+                    corners += max(3 * len(piece.faces), len(piece.vertices))
+                    if corners > 3 * product.MAX_TRIANGLES:
+                        raise ProductError(
+                            f"{self._file.path}: expected at most {product.MAX_TRIANGLES} "
+                            f"triangles, got {corners // 3}; decimate the model first"
+                        )
+                    yield piece
 
     def _nodes(self) -> Iterator[tuple[dict[str, Any], npt.NDArray[np.float64]]]:
         """Nodes of the scene with their world matrices."""
@@ -106,15 +123,17 @@ class _Reader:
         else:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [i for i in range(len(nodes)) if i not in children]
-        waiting = [(root, np.eye(4), 0) for root in reversed(roots)]
+        waiting = [(root, np.eye(4)) for root in reversed(roots)]
+        seen: set[int] = set()
         while waiting:
-            index, parent, depth = waiting.pop()
-            if depth > len(nodes):
-                raise ValueError("the nodes form a circle")
+            index, parent = waiting.pop()
+            if index in seen:  # forty nodes that share their children are a million million
+                raise ValueError(f"node {index} has two parents, or the nodes form a circle")
+            seen.add(index)
             matrix = parent @ _local_matrix(nodes[index])
             yield nodes[index], matrix
             below = nodes[index].get("children", [])
-            waiting += [(child, matrix, depth + 1) for child in reversed(below)]
+            waiting += [(child, matrix) for child in reversed(below)]
 
     def _piece(
         self, primitive: dict[str, Any], mode: int, matrix: npt.NDArray[np.float64]
@@ -124,16 +143,16 @@ class _Reader:
             for name, index in primitive["attributes"].items()
             if name in ("POSITION", "NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0")
         }
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
-            points = attributes["POSITION"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        points = attributes["POSITION"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         count = len(points)
         if any(len(values) != count for values in attributes.values()):
             raise ValueError("the attributes of a primitive differ in length")
-        order = (
-            self._file.accessor(primitive["indices"])[:, 0].astype(np.int64)
-            if "indices" in primitive
-            else np.arange(count)
-        )
+        order = np.arange(count)
+        if "indices" in primitive:
+            order = self._file.accessor(primitive["indices"])[:, 0]
+            if order.dtype.kind != "u":
+                raise ValueError(f"expected indices as unsigned whole numbers, got {order.dtype}")
+            order = order.astype(np.int64)
         normals = attributes.get("NORMAL")
         if normals is not None:
             # The inverse transpose, up to a factor and for singular matrices too.
@@ -201,20 +220,25 @@ class _Reader:
             name = tree["images"][source].get("uri", f"image {source}")
             shown = name if not name.startswith("data:") else f"image {source}"
             data = self._file.image(source)
-            self._pixels[source] = decode_texture(data, f"{self._file.path}: texture {shown!r}")
+            pixels = decode_texture(data, f"{self._file.path}: texture {shown!r}")
+            self._texels += pixels.shape[0] * pixels.shape[1]
+            if self._texels > MAX_TEXELS:
+                raise ProductError(
+                    f"{self._file.path}: expected textures of at most {MAX_TEXELS >> 20} "
+                    "megapixels in all, got more; shrink them first"
+                )
+            self._pixels[source] = pixels
         sampler = tree["samplers"][entry["sampler"]] if "sampler" in entry else {}
         wrap = (_WRAPS[sampler.get("wrapS", 10497)], _WRAPS[sampler.get("wrapT", 10497)])
         change = info.get("extensions", {}).get(_TRANSFORM, {})
         uv_set = change.get("texCoord", info.get("texCoord", 0))
         if uv_set not in (0, 1):
             raise ValueError(f"texture coordinates {uv_set} are not read, only 0 and 1")
-        return make_texture(
-            self._pixels[source],
-            colour=colour,
-            wrap=wrap,
-            transform=_uv_matrix(change),
-            uv_set=uv_set,
-        )
+        key = (source, colour, wrap)
+        if key not in self._textures:  # materials by the hundred may share an image
+            pixels = self._pixels[source]
+            self._textures[key] = make_texture(pixels, colour=colour, wrap=wrap)
+        return replace(self._textures[key], transform=_uv_matrix(change), uv_set=uv_set)
 
 
 _ALPHA_MODES: Final[dict[str, Any]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}

@@ -24,6 +24,11 @@ CREASE_DEGREES: Final = 40.0
 SMALLEST_NORMAL: Final = 1e-12
 MAX_TRIANGLES: Final = 10_000_000
 """More would take longer to read than a person waits, and gigabytes."""
+MOST_SHARING: Final = 1024
+"""Corners at one position that are compared pair by pair; a sphere's pole has hundreds. Where more
+meet, as in a damaged file whose vertices are all the same, they keep their faces' flat normals."""
+PAIRS: Final = 1 << 22
+"""Compared at a time, in some hundreds of megabytes."""
 
 _PRIMES: Final = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64
@@ -131,7 +136,7 @@ def assemble(pieces: Sequence[Piece], name: str) -> Product:
         name=name,
     )
     low, high = product.bounds
-    sides = np.sort(high - low)
+    sides = np.sort(high.astype(np.float64) - low)
     if sides[1] <= 1e-6 * sides[2]:
         raise ProductError(
             f"{name}: expected a surface, got a mesh without extent "
@@ -160,18 +165,23 @@ def smooth_normals(vertices: FloatArray, faces: npt.NDArray[np.int32]) -> FloatA
     at = weld(vertices)[faces].reshape(-1)  # position of each corner
     order = np.argsort(at, kind="stable")
     counts = np.bincount(at)
+    order = order[counts[at[order]] <= MOST_SHARING]
+    counts = np.where(counts <= MOST_SHARING, counts, 0)
     start = np.concatenate([[0], np.cumsum(counts)])
-    # Every pair of corners at one position, as two flat lists.
-    valence = counts[at[order]]
-    first = np.repeat(np.arange(len(order)), valence)
-    within = np.arange(len(first)) - np.repeat(np.cumsum(valence) - valence, valence)
-    mine, other = order[first], order[start[at[order[first]]] + within]
-    alike = np.einsum("ij,ij->i", flat[mine // 3], flat[other // 3])
-    near = alike >= np.cos(np.radians(CREASE_DEGREES))
-    mine, other = mine[near], other[near]
-    total = np.stack(
-        [np.bincount(mine, area[other // 3, axis], len(at)) for axis in range(3)], axis=1
-    ).astype(np.float64)
+    total = np.zeros((len(at), 3))
+    ends = np.flatnonzero(np.diff(np.cumsum(counts[at[order]]) // PAIRS)) + 1
+    for corner in np.split(order, ends):
+        # Every pair of these and the corners at their positions, as two flat lists.
+        valence = counts[at[corner]]
+        first = np.repeat(np.arange(len(corner)), valence)
+        within = np.arange(len(first)) - np.repeat(np.cumsum(valence) - valence, valence)
+        mine, other = corner[first], order[start[at[corner[first]]] + within]
+        alike = np.einsum("ij,ij->i", flat[mine // 3], flat[other // 3])
+        near = alike >= np.cos(np.radians(CREASE_DEGREES))
+        first, other = first[near], other[near]
+        for axis in range(3):
+            summed = np.bincount(first, area[other // 3, axis], len(corner))
+            total[corner, axis] = summed
     empty = np.linalg.norm(total, axis=1) < SMALLEST_NORMAL
     total[empty] = np.repeat(flat, 3, axis=0)[empty]
     return _unit(total).reshape(-1, 3, 3).astype(np.float32)
@@ -215,7 +225,7 @@ def _complete(piece: Piece, name: str) -> Piece:
         )
     colours = None if piece.colours is None else np.clip(np.nan_to_num(piece.colours), 0.0, 1.0)
     normals = piece.normals
-    lengths = None if normals is None else np.linalg.norm(normals, axis=1)
+    lengths = None if normals is None else np.linalg.norm(normals.astype(np.float64), axis=1)
     if normals is not None and lengths is not None and (lengths > SMALLEST_NORMAL).all():
         unit = (normals / lengths[:, None]).astype(np.float32)
         if np.isfinite(unit).all():

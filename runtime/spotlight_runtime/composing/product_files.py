@@ -13,7 +13,7 @@ from spotlight_runtime.composing.gltf import read_beside
 from spotlight_runtime.composing.gltf_scene import read_gltf
 from spotlight_runtime.composing.materials import Material, make_texture
 from spotlight_runtime.composing.product import Piece, Product, assemble
-from spotlight_runtime.errors import MissingExtraError, ProductError
+from spotlight_runtime.errors import MissingExtraError, ProductError, SpotLightError
 from spotlight_runtime.imaging.headers import check_header
 
 __all__ = ["PRODUCT_SUFFIXES", "load_product", "require_scene_extra"]
@@ -112,6 +112,9 @@ def _read_obj(path: Path) -> list[Piece]:
             loaded = trimesh.load_scene(file, file_type="obj", resolver=beside)
         # An OBJ has no scene graph, so its geometries are in place as they are.
         meshes = [mesh for mesh in loaded.geometry.values() if isinstance(mesh, trimesh.Trimesh)]
+        pieces = [_obj_piece(mesh, path) for mesh in meshes if len(mesh.faces)]
+    except SpotLightError:
+        raise
     except Exception as error:  # trimesh's parsers raise whatever they stumble over
         if beside.problems:
             raise beside.problems[0] from error
@@ -121,11 +124,13 @@ def _read_obj(path: Path) -> list[Piece]:
         ) from error
     if beside.problems:
         raise beside.problems[0]
-    return [_obj_piece(mesh, path) for mesh in meshes if len(mesh.faces)]
+    return pieces
 
 
 def _obj_piece(mesh: Any, path: Path) -> Piece:
     count = len(mesh.vertices)
+    if np.shape(mesh.vertices) != (count, 3):
+        raise ValueError(f"expected vertices of 3 numbers, got shape {np.shape(mesh.vertices)}")
     uv = np.zeros((count, 2, 2), dtype=np.float32)
     given = getattr(mesh.visual, "uv", None)
     if given is not None and len(given) == count:

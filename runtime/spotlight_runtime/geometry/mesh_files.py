@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import zipfile
 from pathlib import Path
 from typing import Any, Final
@@ -47,7 +48,7 @@ def read_mesh(path: Path, pose: npt.NDArray[np.float64] | None = None) -> Object
     if suffix not in (".npz", *_THROUGH_TRIMESH):
         known = ", ".join((".npz", *_THROUGH_TRIMESH))
         raise SceneError(f"{path}: expected a mesh as one of {known}, got {path.suffix!r}")
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, False for impossible names too
         raise SceneError(f"{path}: expected the object's mesh, found no file")
     vertices, faces = _read_npz(path) if suffix == ".npz" else _read_model(path)
     if pose is not None and not np.allclose(pose[3], [0, 0, 0, 1]):
@@ -88,7 +89,9 @@ def _read_npz(path: Path) -> tuple[FloatArray, npt.NDArray[Any]]:
             f"{path}: expected vertices as floats and faces as integers, "
             f"got {vertices.dtype} and {faces.dtype}"
         )
-    return vertices, np.clip(faces, -1, np.iinfo(np.int32).max)
+    # Rows that int32 cannot name become rows that no mesh has.
+    most = np.iinfo(np.int32).max
+    return vertices, np.where((faces >= 0) & (faces <= most), faces, -1).astype(np.int64)
 
 
 def _read_model(path: Path) -> tuple[FloatArray, npt.NDArray[Any]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from spotlight_runtime.errors import ImageFileError
@@ -19,6 +19,9 @@ __all__ = ["MAX_FILE_BYTES", "MAX_PIXELS", "ImageHeader", "check_header", "read_
 
 MAX_PIXELS: Final = 64_000_000
 """Largest picture taken: a scene of that size holds eight gigabytes of maps."""
+MAX_SAMPLES: Final = 1 << 29
+"""Most numbers of an OpenEXR file, all its channels and parts together: two gigabytes as float32,
+a published scene of forty channels at 13 megapixels."""
 MAX_FILE_BYTES: Final = 1 << 30
 """Largest image file taken: a float32 EXR of `MAX_PIXELS` is three quarters of it."""
 
@@ -29,7 +32,8 @@ _TURNED: Final = {5, 6, 7, 8}  # EXIF orientations that swap width and height
 _ORIENTATION, _EXIF_FOLDER, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
 _SHORT, _LONG = 3, 4  # TIFF field types
 _HDR_HEADER_BYTES: Final = 1 << 16
-_HDR_SIZE: Final = re.compile(rb"\n([-+][XY]) +(\d{1,9}) +([-+][XY]) +(\d{1,9})\n")
+_HDR_SIZE: Final = re.compile(rb"\n\n([-+][XY]) +(\d{1,9}) +([-+][XY]) +(\d{1,9})\n")
+_EXR_MULTIPART: Final = 0x1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +46,14 @@ class ImageHeader:
         Pixels as they come out of the reader: the EXIF orientation of a JPEG is applied.
     focal_35mm : float, optional
         Focal length in millimetres on a 36×24 mm frame of the same diagonal.
+    planes : int
+        Channels of an OpenEXR file, of all its parts; of other files not read, 4 at most.
     """
 
     width: int
     height: int
     focal_35mm: float | None = None
+    planes: int = field(default=4, compare=False)
 
 
 def check_header(data: bytes, name: str) -> ImageHeader:
@@ -55,7 +62,8 @@ def check_header(data: bytes, name: str) -> ImageHeader:
     Raises
     ------
     ImageFileError
-        If there are no bytes, no header of a known format, or more than `MAX_PIXELS` pixels.
+        If there are no bytes, no header of a known format, or more than `MAX_PIXELS` pixels or
+        `MAX_SAMPLES` numbers.
     """
     if not data:
         raise ImageFileError(
@@ -76,6 +84,12 @@ def check_header(data: bytes, name: str) -> ImageHeader:
         raise ImageFileError(
             f"{name}: expected at most {MAX_PIXELS // 1_000_000} megapixels, the header says "
             f"{header.width}×{header.height}; shrink the picture first"
+        )
+    if header.width * header.height * header.planes > MAX_SAMPLES:
+        raise ImageFileError(
+            f"{name}: expected at most {MAX_SAMPLES} numbers, the header says "
+            f"{header.width}×{header.height} pixels of {header.planes} channels; shrink the "
+            "picture, or leave out layers"
         )
     return header
 
@@ -160,7 +174,8 @@ def _webp(data: bytes) -> ImageHeader | None:
 
 
 def _radiance(data: bytes) -> ImageHeader | None:
-    found = _HDR_SIZE.search(data, 0, _HDR_HEADER_BYTES)
+    # The size follows the first empty line; a line like it among the comments says nothing.
+    found = _HDR_SIZE.match(data, max(0, data.find(b"\n\n", 0, _HDR_HEADER_BYTES)))
     if found is None:
         return None
     sides = {found[1][1:]: int(found[2]), found[3][1:]: int(found[4])}
@@ -168,17 +183,42 @@ def _radiance(data: bytes) -> ImageHeader | None:
 
 
 def _openexr(data: bytes) -> ImageHeader | None:
-    """The data window; it is one attribute of a list of (name, type, size, value)."""
-    position = 8
-    while data[position] != 0:
-        name_end = data.index(b"\0", position)
-        type_end = data.index(b"\0", name_end + 1)
-        (size,) = struct.unpack_from("<i", data, type_end + 1)
-        value = type_end + 5
-        if data[position:name_end] == b"dataWindow":
-            left, top, right, bottom = struct.unpack_from("<4i", data, value)
-            return ImageHeader(right - left + 1, bottom - top + 1)
-        if size < 0:
-            return None
-        position = value + size
-    return None
+    """The largest data window and the number of channels of all parts.
+
+    A part's header is a list of attributes (name, type, size, value) that ends with an empty name;
+    an attribute that is given twice counts twice, whichever of them the decoder believes.
+    """
+    (version,) = struct.unpack_from("<I", data, 4)
+    position, planes = 8, 0
+    sizes: list[tuple[int, int]] = []
+    while True:
+        while data[position] != 0:
+            name_end = data.index(b"\0", position)
+            type_end = data.index(b"\0", name_end + 1)
+            (size,) = struct.unpack_from("<i", data, type_end + 1)
+            value = type_end + 5
+            if data[position:name_end] == b"dataWindow":
+                left, top, right, bottom = struct.unpack_from("<4i", data, value)
+                sizes.append((right - left + 1, bottom - top + 1))
+            elif data[position:name_end] == b"channels":
+                planes += _exr_channels(data[value : value + max(size, 0)])
+            if size < 0:
+                return None
+            position = value + size
+        position += 1
+        if not version & _EXR_MULTIPART or data[position] == 0:
+            break
+    if not sizes:
+        return None
+    least = min(sizes, key=min)
+    widest = max(width for width, _ in sizes), max(height for _, height in sizes)
+    return ImageHeader(*(least if min(least) <= 0 else widest), planes=planes)
+
+
+def _exr_channels(listed: bytes) -> int:
+    """How many channels a list of (name, sixteen bytes) holds."""
+    position = count = 0
+    while position < len(listed) and listed[position] != 0:
+        position = listed.index(b"\0", position) + 17
+        count += 1
+    return count

@@ -45,7 +45,8 @@ __all__ = [
 _JPEG: Final = {".jpg", ".jpeg"}
 _EIGHT_BIT: Final = {*_JPEG, ".webp"}
 _READABLE: Final = {".png", ".hdr", ".exr", *_EIGHT_BIT}
-_EXR_HEADER_BYTES: Final = 1 << 16  # attributes of ordinary files take a few hundred
+_EXR_HEADER_BYTES: Final = 1 << 20  # attributes take a few hundred, a preview picture more
+_EXR_MAGIC: Final = b"\x76\x2f\x31\x01"
 _CHANNEL_ORDER: Final = {name: i for i, name in enumerate("RGBXYZVA")}
 
 
@@ -220,6 +221,11 @@ def _check_exr_header(path: Path) -> None:
         raise ImageFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     if read_header(start) is not None:  # what else may be wrong, OpenEXR says better
         check_header(start, str(path))
+    elif start.startswith(_EXR_MAGIC):
+        raise ImageFileError(
+            f"{path}: expected a whole OpenEXR file, its header is damaged or longer than "
+            f"{_EXR_HEADER_BYTES >> 20} MiB; export it again"
+        )
 
 
 def _encode(suffix: str, pixels: npt.NDArray[Any], options: list[int], path: Path) -> bytes:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from spotlight_runtime.errors import InvalidInputError, SpotLightError
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.errors import InvalidInputError, SpotLightError, UnsafePathError
 from spotlight_runtime.geometry.lights import Light, Vector
 from spotlight_runtime.relighting.guides import Guide, GuidingShadow
 from spotlight_runtime.relighting.shadow_files import read_shadow
@@ -25,7 +26,7 @@ class ShadowEntry:
     Attributes
     ----------
     shadow : str
-        Grey image of the scene's size, white is shadow; relative to the file that names it.
+        Grey image of the scene's size, white is shadow, in the folder of the file that names it.
     negative : str
         Shadow of the opposite light, likewise; or none.
     weight : float
@@ -64,6 +65,8 @@ def read_lights(path: Path) -> list[Guide]:
         If the file is no such list, or a light in it is out of its domain.
     ImageFileError
         If a shadow cannot be read.
+    UnsafePathError
+        If it lies outside the folder of the lights.
     """
     try:
         document = read_json(path)
@@ -87,5 +90,22 @@ def _guide(entry: dict[str, Any], where: str, folder: Path) -> Guide:
     if "shadow" not in entry:
         return decode(Light, entry, where)
     ready = decode(ShadowEntry, entry, where)
-    negative = None if ready.negative == "none" else read_shadow(folder / ready.negative)
-    return GuidingShadow(read_shadow(folder / ready.shadow), negative, ready.weight, ready.colour)
+
+    def read(name: str) -> FloatArray:
+        return read_shadow(_inside(folder, name, where))
+
+    negative = None if ready.negative == "none" else read(ready.negative)
+    return GuidingShadow(read(ready.shadow), negative, ready.weight, ready.colour)
+
+
+def _inside(folder: Path, name: str, where: str) -> Path:
+    """The path of a shadow, which must lie in the folder of the file that names it."""
+    try:
+        path = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a null byte, a symlink to itself
+        raise InvalidInputError(f"{where}: {name!r} is no file: {error}") from error
+    if not path.is_relative_to(folder.resolve()):
+        raise UnsafePathError(
+            f"{where}: {name!r} lies outside the folder of the lights; copy it there"
+        )
+    return path

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.errors import InvalidInputError, NonFiniteError
 from spotlight_runtime.imaging.colour import luma
 from spotlight_runtime.imaging.images import read_image
 from spotlight_runtime.relighting.guides import GuidingShadow
@@ -37,8 +37,14 @@ def read_shadow(path: Path) -> FloatArray:
     ------
     ImageFileError
         If the file cannot be read.
+    NonFiniteError
+        If it holds NaN or infinity.
     """
     pixels = read_image(path)
+    if not np.isfinite(pixels).all():
+        raise NonFiniteError(
+            f"{path}: the shadow holds NaN or infinity; expected values in [0, 1], write it again"
+        )
     if pixels.ndim == 3:
         pixels = luma(pixels[..., :3]) if pixels.shape[2] >= 3 else pixels[..., 0]
     return np.clip(pixels, 0.0, 1.0)

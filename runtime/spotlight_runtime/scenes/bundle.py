@@ -43,6 +43,8 @@ __all__ = [
 SCENE_FILE: Final = "scene.json"
 MESH_FILE: Final = "object_mesh.npz"
 MAX_ZIP_BYTES: Final = 1 << 30
+MAX_ZIP_ENTRIES: Final = 2000
+"""A scene has some twenty files; with ready shadows of many lights, hundreds."""
 
 
 _Row = tuple[float, float, float, float]
@@ -279,7 +281,12 @@ def unpack(archive: Path, folder: Path) -> Path:
 
 
 def _check_entries(bundle: zipfile.ZipFile, archive: Path, folder: Path) -> None:
-    total = 0
+    total, count = 0, len(bundle.infolist())
+    if count > MAX_ZIP_ENTRIES:
+        raise SceneError(
+            f"{archive}: holds {count} files, more than the limit of {MAX_ZIP_ENTRIES}; "
+            "zip the scene's own files only"
+        )
     for entry in bundle.infolist():
         total += entry.file_size
         if not (folder / entry.filename).resolve().is_relative_to(folder.resolve()):

@@ -15,6 +15,7 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import ShapeError
+from spotlight_runtime.imaging import headers
 from spotlight_runtime.imaging.colour import linear_to_srgb, stored_to_linear
 from spotlight_runtime.imaging.decoding import decode_pixels, read_bytes
 from spotlight_runtime.imaging.images import read_image, write_image, write_jpeg
@@ -76,6 +77,11 @@ def read_map_file(path: Path, entry: MapFile, channels: int, size: tuple[int, in
     """
     decoded = _decode(path, entry, channels)
     height, width = decoded.shape[:2]
+    if (entry.corner is not None or entry.enlarged) and size[0] * size[1] > headers.MAX_PIXELS:
+        raise ShapeError(
+            f"{path}: expected a scene of at most {headers.MAX_PIXELS // 1_000_000} megapixels to "
+            f"make this map as large as, scene.json says {size[1]}×{size[0]}; correct its size"
+        )
     if entry.corner is not None:
         x, y = entry.corner
         if not (0 <= x <= size[1] - width and 0 <= y <= size[0] - height):

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import zipfile
 from dataclasses import dataclass, replace
@@ -182,11 +183,11 @@ class Scene:
         from spotlight_runtime.scenes.bundle import SCENE_FILE, load_bundle, unpack
         from spotlight_runtime.scenes.testset import bundle_file, load_published
 
-        if path.is_file() and zipfile.is_zipfile(path):
+        if _is_zip(path):
             with tempfile.TemporaryDirectory(prefix="spotlight-scene-") as folder:
                 # Errors then name the archive, not only a folder that is gone.
                 return cls.load(unpack(path, Path(folder) / path.name))
-        if (path / SCENE_FILE).is_file():
+        if os.path.isfile(path / SCENE_FILE):  # unlike Path.is_file, False for impossible names
             return load_bundle(path)
         if bundle_file(path) is not None:
             return load_published(path)
@@ -210,3 +211,11 @@ class Scene:
         from spotlight_runtime.scenes.bundle import save_bundle
 
         save_bundle(self, Path(folder))
+
+
+def _is_zip(path: Path) -> bool:
+    """Whether a file is an archive, however damaged."""
+    try:
+        return os.path.isfile(path) and zipfile.is_zipfile(path)
+    except zipfile.BadZipFile:  # of a directory that says it lies on several disks
+        return True

@@ -9,6 +9,7 @@ in their last two channels), and beside it the background's estimates ``<name>_b
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +29,7 @@ _REQUIRED: Final = ("background", "albedo", "mask")
 
 def bundle_file(folder: Path) -> Path | None:
     """Return the ``*_bundle0001.exr`` of a published scene folder, or None."""
-    found = sorted(folder.glob(f"*{_BUNDLE}")) if folder.is_dir() else []
+    found = sorted(folder.glob(f"*{_BUNDLE}")) if os.path.isdir(folder) else []
     return found[0] if found else None
 
 
@@ -116,4 +117,5 @@ def _footprint(pixels: FloatArray | None) -> FloatArray | None:
         return pixels
     value, alpha = pixels[..., -2], pixels[..., -1]
     covered = alpha >= 0.5
-    return np.divide(value, alpha, out=np.zeros_like(value), where=covered)
+    with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
+        return np.divide(value, alpha, out=np.zeros_like(value), where=covered)

@@ -1,0 +1,1 @@
+"""Fuzzing of everything that reads a file, guided by coverage (`make fuzz`) and blind (CI)."""

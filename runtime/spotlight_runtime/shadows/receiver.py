@@ -24,6 +24,8 @@ __all__ = ["Patch", "Receiver", "receiver_of"]
 FAR: Final = 20.0
 """Depth maps of this method are cut off here, in metres; what lies at the cut is sky."""
 
+_NEAREST: Final = 1e-6
+"""Nothing is seen from nearer, whatever the unit; 1/depth of less may be no float32."""
 _AT_THE_CUT: Final = 1.0 - 1e-3
 _STEEPEST: Final = 0.25
 """Relative change of 1/depth in a pixel beyond which it is an edge, not a surface."""
@@ -145,7 +147,7 @@ def receiver_of(scene: Scene, ground: Ground | None) -> Receiver | None:
         inverse = np.maximum(rising / np.float32(ground.offset), 0.0)
         return Receiver(scene.camera, inverse.astype(np.float32), _constant(inverse, ground))
     farthest = float(depth.max())
-    seen = depth > 0.0
+    seen = depth > _NEAREST
     if farthest >= FAR * _AT_THE_CUT:
         seen &= depth < farthest * _AT_THE_CUT
     inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=seen)

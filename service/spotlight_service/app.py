@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from fastapi.responses import JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
 
+from spotlight_runtime.errors import SpotLightError
 from spotlight_service.api import about, inference, jobs, scenes
 from spotlight_service.engine.workforce import Workforce
 from spotlight_service.problems import (
@@ -37,6 +39,11 @@ ABOUT: Final = (
     "Relight an object in a photograph by its shadow. Send a scene, say where the light is, "
     "fetch the picture. Errors are RFC 9457 problem details."
 )
+KNOWN: Final = (
+    *(ProblemError, HTTPException, RequestValidationError, SpotLightError),
+    *(OSError, sqlite3.Error),
+)
+"""What may go wrong with a request without anything being wrong with the service."""
 log = logging.getLogger(__name__)
 
 
@@ -75,9 +82,8 @@ def create_app(settings: Settings | None = None, workforce: Any = "own") -> Fast
     app.state.service = service
     for part in (scenes, jobs, about, inference):
         app.include_router(part.router)
-    app.add_exception_handler(ProblemError, _problem)
-    app.add_exception_handler(HTTPException, _problem)
-    app.add_exception_handler(RequestValidationError, _problem)
+    for kind in KNOWN:
+        app.add_exception_handler(kind, _problem)
     app.add_exception_handler(Exception, _problem)
     app.mount("/", StaticFiles(directory=PAGE, html=True), name="page")
     app.add_middleware(

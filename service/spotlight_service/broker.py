@@ -34,10 +34,12 @@ class Broker:
         self._store, self._listener = store, listener
         self._readers: dict[str, set[asyncio.Queue[Job | None]]] = {}
         self._revision = store.revision()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self.closing = False
 
     async def run(self) -> None:
         """Look until cancelled."""
+        self._loop = asyncio.get_running_loop()
         while True:
             self.look()
             await asyncio.sleep(LOOK_S)
@@ -60,6 +62,11 @@ class Broker:
                 if reader.full():
                     reader.get_nowait()
                 reader.put_nowait(None)
+
+    def close_soon(self) -> None:
+        """`close`, from a signal handler or another thread."""
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self.close)
 
     @asynccontextmanager
     async def news(self, job: str) -> AsyncIterator[asyncio.Queue[Job | None]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from types import FrameType
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -13,6 +14,9 @@ from spotlight_runtime.errors import SpotLightError
 from spotlight_service.problems import ProblemError
 
 __all__ = ["main"]
+
+KEEP_ALIVE_S: Final = 30
+"""Seconds an idle connection is kept for a next request."""
 
 app = typer.Typer(
     add_completion=False,
@@ -124,7 +128,7 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
             f"host: expected a loopback address while there is no API key, got {settings.host}; "
             "make one (spotlight-serve keys add NAME), or say --insecure-open"
         )
-    uvicorn.run(
+    config = uvicorn.Config(
         service,
         host=settings.host,
         port=settings.port,
@@ -132,9 +136,18 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=int(settings.stop_s),
-        timeout_keep_alive=30,
-        limit_concurrency=None,
+        timeout_keep_alive=KEEP_ALIVE_S,
     )
+    server = uvicorn.Server(config)
+    leave = server.handle_exit
+
+    def leaving(number: int, frame: FrameType | None) -> None:
+        # Streams end and waiting requests are answered, or the server would wait for them.
+        service.state.service.broker.close_soon()
+        leave(number, frame)
+
+    server.handle_exit = leaving  # type: ignore[method-assign]
+    server.run()
 
 
 def _key_store(data: Path | None) -> Any:

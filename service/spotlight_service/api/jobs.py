@@ -10,6 +10,7 @@ import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Final
 
+import anyio
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from sse_starlette import EventSourceResponse, ServerSentEvent
@@ -47,6 +48,8 @@ PICTURE: Final[dict[int | str, dict[str, Any]]] = {
 _WAIT: Final = re.compile(r"(?:^|[,;\s])wait\s*=\s*(\d{1,6})")
 _DISCONNECT_S: Final = 0.25
 """Between two looks whether a waiting client is still there."""
+_PARTING_S: Final = 5.0
+"""Seconds that streams have to end by themselves at shutdown."""
 _WATCH_S: Final = 4.0
 """Between two notes that somebody watches a job."""
 
@@ -170,6 +173,8 @@ async def watch_job(job: JobId, service: Here, caller: CallerHere) -> EventSourc
         _events(service, found),
         ping=service.settings.keep_alive_s,  # type: ignore[arg-type]
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+        shutdown_event=anyio.Event(),  # never asked: the broker ends streams
+        shutdown_grace_period=_PARTING_S,
     )
 
 

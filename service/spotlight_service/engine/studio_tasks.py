@@ -69,7 +69,7 @@ class Studio:
         unpacked.mkdir()
         limits = {"most_bytes": self._bytes, "most_files": self._files}
         made = unpack_bundle(Path(upload), unpacked, **limits)
-        check_bundle(made, self._pixels)
+        check_bundle(made, self._pixels, self._bytes)
         return self._stored(made, bundle_digest(made), "a bundle")
 
     def sample(self, name: str, draft_folder: str) -> Answer:

@@ -177,8 +177,16 @@ def unpack_bundle(archive: Path, folder: Path, *, most_bytes: int, most_files: i
     return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
 
 
-def check_bundle(folder: Path, most_pixels: int) -> None:
+def check_bundle(folder: Path, most_pixels: int, most_bytes: int) -> None:
     """Look at every file of an unpacked scene without decoding it.
+
+    Parameters
+    ----------
+    folder : Path
+    most_pixels : int
+        Of any picture.
+    most_bytes : int
+        Of any mesh, unpacked.
 
     Raises
     ------
@@ -194,10 +202,22 @@ def check_bundle(folder: Path, most_pixels: int) -> None:
                 raise FieldError(
                     f"bundle: {name}", f"a {suffix} file", f"a {found} file", status=415
                 )
-        elif suffix != ".npz":  # which is an archive itself; numpy's reader takes arrays alone
+        elif suffix == ".npz":  # an archive of arrays
+            _check_arrays(f"bundle: {name}", path, most_bytes)
+        else:
             foreign = _foreign(path.read_bytes())
             if foreign is not None:
                 raise FieldError(f"bundle: {name}", "a scene's file", foreign, status=415)
+
+
+def _check_arrays(field: str, path: Path, most_bytes: int) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+        raise FieldError(field, "arrays as numpy saves them", error, status=415) from error
+    if size > most_bytes:
+        raise FieldError(field, f"at most {most_bytes} bytes unpacked", size, status=413)
 
 
 def bundle_digest(folder: Path) -> str:

@@ -36,8 +36,9 @@ def main() -> None:
         )
     from spotlight_bench.combinations_command import combinations
     from spotlight_bench.evaluate_command import evaluate
+    from spotlight_bench.stability_command import stability
 
-    for command in (evaluate, combinations):
+    for command in (evaluate, combinations, stability):
         app.command()(command)
     try:
         app()

@@ -20,7 +20,7 @@ __all__ = ["CASES", "DEPTHS", "depth_named"]
 SIZE = (24, 32)
 SPEC = BACKBONES["zerocomp-openrooms"]
 SHADING = next(entry for entry in SPEC.maps if entry.name == "shading")
-SINGLE = 2e-6
+SINGLE = 5e-7
 """A handful of float32 operations, powers among them."""
 BACKGROUNDS = {
     "black": "0/0 where the albedo is black too",

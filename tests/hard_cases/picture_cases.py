@@ -25,7 +25,7 @@ from .case import Case, Refusal, exact, planes
 __all__ = ["CASES", "REFUSALS"]
 
 SIZE = (24, 32)
-SINGLE = 3e-6
+SINGLE = 1e-6
 """A handful of float32 operations, powers among them."""
 DENORMAL = 8.0 * 2.0**-149
 """What a handful of operations on denormals round by."""

@@ -15,13 +15,14 @@ SCENE_ID: Final = r"^[0-9a-f]{64}$"
 SAMPLE_ID: Final = "0" * 64
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Colour = Annotated[
-    tuple[
-        Annotated[Finite, Field(ge=0)],
-        Annotated[Finite, Field(ge=0)],
-        Annotated[Finite, Field(ge=0)],
-    ],
-    Field(description="Linear red, green, blue of this light where several are combined."),
+    list[Annotated[Finite, Field(ge=0)]],
+    Field(
+        min_length=3,
+        max_length=3,
+        description="Linear red, green, blue of this light where several are combined.",
+    ),
 ]
+Position = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Weight = Annotated[Finite, Field(ge=0, description="Share of this light among several.")]
 Base64Picture = Annotated[
     str,
@@ -51,12 +52,12 @@ class PlacedLight(_Strict):
     distance: Finite | None = Field(
         10.0, gt=0, description="In object sizes; null for a light infinitely far away."
     )
-    position: tuple[Finite, Finite, Finite] | None = Field(
+    position: Position | None = Field(
         None, description="Metres, instead of azimuth, elevation and distance."
     )
     frame: Literal["world", "camera"] = "world"
     weight: Weight = 1.0
-    colour: Colour = (1.0, 1.0, 1.0)
+    colour: Colour = [1.0, 1.0, 1.0]
 
 
 class DrawnLight(_Strict):
@@ -71,7 +72,7 @@ class DrawnLight(_Strict):
     )
     invert: bool = Field(False, description="The drawing is black on white.")
     weight: Weight = 1.0
-    colour: Colour = (1.0, 1.0, 1.0)
+    colour: Colour = [1.0, 1.0, 1.0]
 
 
 Lights = Annotated[list[PlacedLight | DrawnLight], Field(min_length=1, max_length=MOST_LIGHTS)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
@@ -42,11 +42,15 @@ class SceneView(BaseModel):
     width: int
     height: int
     field_of_view: float
-    object_box: tuple[float, float, float, float] = Field(
-        description="left, top, right, bottom of the object, in fractions of the picture."
+    object_box: list[float] = Field(
+        min_length=4,
+        max_length=4,
+        description="left, top, right, bottom of the object, in fractions of the picture.",
     )
     coverage: float
-    floor_normal: tuple[float, float, float] | None
+    floor_normal: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        description="Upwards; x right, y up, z towards the camera."
+    )
     casts: bool = Field(description="Whether lights cast shadows here; else draw them.")
     summary: str
     links: dict[str, str]
@@ -100,6 +104,8 @@ def scene_view(info: SceneInfo) -> SceneView:
     """A scene as an answer."""
     base = f"/v1/scenes/{info.id}"
     facts = {name: getattr(info, name) for name in SceneView.model_fields if name != "links"}
+    for name in ("object_box", "floor_normal"):
+        facts[name] = None if facts[name] is None else list(facts[name])
     links = {"self": base, "shadow": f"{base}/shadow", "picture": f"{base}/picture"}
     return SceneView(**facts, links=links)
 

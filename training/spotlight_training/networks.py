@@ -36,6 +36,21 @@ HIDDEN_VARIANCE: Final = 0.05
 """The same where it is hidden, to begin with. Samples scatter by as much as the network does not
 yet see coming, so a short training wants it small: 0.3 left every latent its own colour."""
 
+SURROUNDINGS: Final = ((3, 1.0), (7, 1e-2), (15, 1e-4), (31, 1e-6))
+"""Squares, in latents, from which light is taken for a hidden place, and their weights: the nearest
+known light decides, and further away counts where nearer by all is hidden."""
+
+LIGHTS: Final = 12
+"""Ways to light a hidden place: by red, green, blue, each evenly or along an axis of the normals.
+Irradiance is nearly linear in the normal (the first spherical harmonics; Ramamoorthi & Hanrahan
+2001), so twelve smooth numbers light all the detail that albedo and normals have."""
+
+EVERYWHERE: Final = 1e-8
+"""Weight of all the picture's light; smaller than any square's."""
+
+NOTHING_KNOWN: Final = (1e-10, 0.5)
+"""Weight and amount of the light that is assumed where no light at all is known."""
+
 POSTERIOR_DEVIATION: Final = 0.1
 """Of each latent, in its own standard deviations: what the decoder learns to tolerate."""
 
@@ -164,10 +179,13 @@ class ConditionEncoder(nn.Module):
     """Conditioning maps → condition at latent size.
 
     The first ``latent`` channels are the latents of the *known picture*: albedo × shading where
-    the shading is known, the albedo encoded like a picture under white light where it is hidden.
-    In the one the renderer has nothing left to do, in the other only to light it. The next
-    channel is the share of each latent's pixels that are hidden; the rest is a learned projection
-    of all maps, which keeps what the latents lose.
+    the shading is known, and where it is hidden the albedo under the light of its surroundings.
+    In the one the renderer has nothing left to do, in the other only what light and shadow there
+    are besides. That guess alone is closer (18.4 dB on hidden pixels) than albedo under white light
+    (14.7 dB), from which a renderer had come to 19.6 dB after 2,600 steps of 256 pixels. The next
+    channel is the share of each latent's pixels that are hidden, and then comes a learned
+    projection of all maps, which keeps what the latents lose. Last are the hidden pixels' latents
+    as each of `LIGHTS` would change them: what the renderer finds out about light, it says in these.
 
     Parameters
     ----------
@@ -193,28 +211,63 @@ class ConditionEncoder(nn.Module):
     @property
     def channels(self) -> int:
         """Channels of the condition."""
-        return self.latent + 1 + self.project[-1].out_channels
+        return self.latent + 1 + self.project[-1].out_channels + LIGHTS * self.latent
 
     def forward(self, conditioning: Tensor) -> Tensor:
         """Condition (B, E, H/8, W/8) of maps (B, K, H, W)."""
-        albedo, shading, mask = (
-            conditioning[:, self.slices[name]] for name in ("albedo", "shading", "mask")
+        albedo, shading, mask, normal = (
+            conditioning[:, self.slices[name]] for name in ("albedo", "shading", "mask", "normal")
         )
-        white = albedo ** (1.0 / GAMMA)
-        known = torch.where(mask > 0, (albedo * shading).clamp(0.0, 1.0), white)
+        seen = (albedo * shading).clamp(0.0, 1.0)
+        lit = albedo * surrounding_light(seen**GAMMA, albedo, (mask > 0).to(albedo.dtype))
+        known = torch.where(mask > 0, seen, lit.clamp(0.0, 1.0) ** (1.0 / GAMMA))
         encoded = self.analysis(2 * known - 1)
+        relit = 2 * known * (mask < 0).to(known.dtype)
+        ways = torch.cat([relit, *(relit * axis for axis in (2 * normal - 1).split(1, dim=1))], 1)
+        kernels = self.analysis.weight.transpose(0, 1).reshape(-1, 1, PATCH, PATCH)
+        lights = functional.conv2d(
+            ways, kernels.repeat(LIGHTS // 3, 1, 1, 1), stride=PATCH, groups=LIGHTS
+        )
         # Depth and shading reach 20 and 1,000; the logarithm keeps them in the network's range
         # and leaves the fill value −1 apart from every known value.
         squashed = torch.sign(conditioning) * torch.log1p(conditioning.abs())
         hidden = functional.avg_pool2d((mask < 0).to(encoded.dtype), PATCH)
-        return torch.cat([encoded, hidden, self.project(squashed)], dim=1)
+        return torch.cat([encoded, hidden, self.project(squashed), lights], dim=1)
+
+
+def surrounding_light(linear: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
+    """Light that falls on each latent, from where it is known around it.
+
+    A normalised convolution (Knutsson & Westin 1993): sums of what is seen over sums of albedo.
+
+    Parameters
+    ----------
+    linear, albedo : Tensor, shape (B, 3, H, W)
+    known : Tensor, shape (B, 1, H, W)
+        1 where ``linear`` is to be believed, else 0.
+
+    Returns
+    -------
+    Tensor, shape (B, 3, H, W)
+        One value for the pixels of a latent.
+    """
+    seen, white = (functional.avg_pool2d(x * known, PATCH) for x in (linear, albedo))
+    weight, light = NOTHING_KNOWN
+    sums = []
+    for x, prior in ((seen, weight * light), (white, weight)):
+        total = EVERYWHERE * x.mean(dim=(2, 3), keepdim=True) + prior
+        for side, share in SURROUNDINGS:
+            total = total + share * functional.avg_pool2d(x, side, 1, side // 2)
+        sums.append(total)
+    coarse = sums[0] / sums[1]
+    return coarse.repeat_interleave(PATCH, dim=2).repeat_interleave(PATCH, dim=3)
 
 
 class Denoiser(nn.Module):
     """U-Net over (noisy latents, condition), predicting v.
 
-    The U-Net sees all of it and says what the picture is, ``m = p + r + g·p``: the known picture p,
-    and where shading is hidden light that multiplies what is seen under white light. How much of
+    The U-Net says what the picture is, ``m = p + r + Σ cₖ·lₖ``: the known picture p, and where
+    shading is hidden so much of each of `LIGHTS`, and a rest (edges of shadows, gloss). How much of
     the noisy latents' difference from that is the picture's is not left to learn: were the picture
     m + s·n, the best prediction would be ``x₀ = m + αs²/(α²s²+σ²)·(z − αm)``, which is
     ``v = −σm + ασ(1−s²)/(α²s²+σ²)·(z − αm)``. s² is near 0 where shading is known, and a learned
@@ -248,7 +301,8 @@ class Denoiser(nn.Module):
         self.embed = nn.Sequential(
             nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
         )
-        self.enter = nn.Conv2d(latent + condition, widths[0], 3, padding=1)
+        self.shown = condition - LIGHTS * latent
+        self.enter = nn.Conv2d(latent + self.shown, widths[0], 3, padding=1)
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
         channels, skips = widths[0], list[int]()
         for level, width in enumerate(widths):
@@ -266,14 +320,14 @@ class Denoiser(nn.Module):
             if level > 0:
                 self.up.append(nn.Conv2d(channels, channels, 3, padding=1))
         self.leave = nn.Sequential(
-            _norm(channels), nn.SiLU(), nn.Conv2d(channels, 2 * latent, 3, padding=1)
+            _norm(channels), nn.SiLU(), nn.Conv2d(channels, latent + LIGHTS, 3, padding=1)
         )
         nn.init.zeros_(self.leave[-1].weight)
 
     def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> Tensor:
         """Prediction v, shape of ``latents``; ``timestep`` is int64 (1,) or (B,)."""
         embedding = self.embed(_sinusoid(timestep, self.widths[0]).to(latents.dtype))
-        x = self.enter(torch.cat([latents, condition], dim=1))
+        x = self.enter(torch.cat([latents, condition[:, : self.shown]], dim=1))
         skips = []
         for stage in self.down:
             if isinstance(stage, _Stage):
@@ -287,10 +341,11 @@ class Denoiser(nn.Module):
                 x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
             else:
                 x = stage(_double(x, like=skips[-1]))
-        r, g = self.leave(x).float().chunk(2, dim=1)
+        rest, amounts = self.leave(x).float().split([self.latent, LIGHTS], dim=1)
         known = condition[:, : self.latent].float()
         hidden = condition[:, self.latent, None].float()
-        mean = known + r + g * known
+        lights = condition[:, self.shown :].float().unflatten(1, (LIGHTS, self.latent))
+        mean = known + rest + (amounts[:, :, None] * lights).sum(dim=1)
         variance = KNOWN_VARIANCE + hidden * self.log_variance.exp()[None, :, None, None]
         level = self.alphas_cumprod[timestep][:, None, None, None]
         alpha, sigma = level.sqrt(), (1 - level).sqrt()

@@ -186,12 +186,13 @@ def _parity(
     }
 
     def torch_network(name: str) -> Callable[..., dict[str, Any]]:
-        names = [tensor.name for tensor in next(c for c in contracts if c.name == name).outputs]
+        contract = next(c for c in contracts if c.name == name)
 
         def call(**inputs: Any) -> dict[str, Any]:
-            outputs = reference[name](*(torch.from_numpy(array) for array in inputs.values()))
+            arrays = (torch.from_numpy(inputs[tensor.name]) for tensor in contract.inputs)
+            outputs = reference[name](*arrays)
             outputs = outputs if isinstance(outputs, tuple) else (outputs,)
-            return {key: tensor.numpy() for key, tensor in zip(names, outputs)}
+            return {tensor.name: y.numpy() for tensor, y in zip(contract.outputs, outputs)}
 
         return call
 

@@ -185,7 +185,7 @@ class ConditionEncoder(nn.Module):
     (14.7 dB), from which a renderer had come to 19.6 dB after 2,600 steps of 256 pixels. The next
     channel is the share of each latent's pixels that are hidden, and then comes a learned
     projection of all maps, which keeps what the latents lose. Last are the hidden pixels' latents
-    as each of `LIGHTS` would change them: what the renderer finds out about light, it says in these.
+    as each of `LIGHTS` would change them: what the renderer finds of light, it says in these.
 
     Parameters
     ----------

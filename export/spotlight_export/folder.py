@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,9 +18,10 @@ __all__ = ["file_entries", "new_model_folder", "read_model"]
 def new_model_folder(out: Path, *, force: bool = False) -> Iterator[Path]:
     """Fill a folder beside ``out`` and rename it to ``out`` when the block ends well.
 
-    The working folder is called ``<out>.partial-<process>`` and has no manifest until it is
-    complete, so an export that was killed never looks like a model. When the block fails, the
-    working folder is removed.
+    The working folder is called ``<out>.partial-<random>`` and has no manifest until it is
+    complete, so an export that was killed never looks like a model, nor stands in the way of the
+    next (in a container every process has the number of the one before). When the block fails,
+    the working folder is removed.
 
     Parameters
     ----------
@@ -35,14 +36,16 @@ def new_model_folder(out: Path, *, force: bool = False) -> Iterator[Path]:
         If ``out`` holds something else.
     """
     _check_replaceable(out, force)
-    partial = out.with_name(f"{out.name}.partial-{os.getpid()}")
-    partial.mkdir(parents=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f"{out.name}.partial-", dir=out.parent))
+    partial.chmod(0o755)  # mkdtemp makes folders that only their owner may enter
     try:
         yield partial
         if out.exists():
-            retired = out.with_name(f"{out.name}.retired-{os.getpid()}")
+            retired = partial.with_name(partial.name.replace(".partial-", ".retired-"))
             out.rename(retired)
             partial.rename(out)
+            (retired / MANIFEST_NAME).unlink(missing_ok=True)  # half removed, it is no model
             shutil.rmtree(retired)
         else:
             partial.rename(out)

@@ -2,7 +2,7 @@
 
 from spotlight_spec.backbone import BackboneSpec, LatentSpec, MapSpec, ScheduleSpec, ShadingSpec
 from spotlight_spec.catalogue import BACKBONES
-from spotlight_spec.files import replacing
+from spotlight_spec.files import alone_in, replacing
 from spotlight_spec.graph import (
     GraphContract,
     GraphLayout,
@@ -38,6 +38,7 @@ __all__ = [
     "ShadingSpec",
     "Source",
     "TensorSpec",
+    "alone_in",
     "decode",
     "encode",
     "graph_contracts",

@@ -5,18 +5,48 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["replacing"]
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["alone_in", "replacing"]
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def alone_in(folder: Path) -> Iterator[None]:
+    """Wait until no other process is in a block of this kind with the folder, and keep them out.
+
+    The lock ends with the process that holds it, however that ends, and leaves no file behind.
+    Where the system or the file system has no such locks, nothing is waited for.
+    """
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def replacing(path: Path, *, keep_suffix: bool = False) -> Iterator[Path]:
     """Yield a name beside ``path`` to write to, which takes its place when the block succeeds.
 
     No other writer uses that name, so two may write the same file at once: the later one wins,
     whole. If the block fails, nothing of it is left.
+
+    Parameters
+    ----------
+    path : Path
+    keep_suffix : bool
+        The name ends as the path's does, for writers that tell formats by it.
 
     Raises
     ------
@@ -24,7 +54,8 @@ def replacing(path: Path) -> Iterator[Path]:
         If the folder cannot be written to.
     """
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".partial")
+        suffix = ".partial" + (path.suffix if keep_suffix else "")
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=suffix)
     except OSError as error:
         error.filename = str(path)  # the name its caller knows
         raise

@@ -37,7 +37,7 @@ from spotlight_runtime.imaging import headers
 from spotlight_runtime.networks.models import open_networks, resolve_model
 from spotlight_runtime.relighting.lights_file import read_lights
 from spotlight_runtime.relighting.shadow_files import read_shadow
-from spotlight_runtime.scenes.bundle import MAX_ZIP_ENTRIES
+from spotlight_runtime.scenes.archive import MAX_ZIP_ENTRIES
 from spotlight_runtime.scenes.testset import load_published
 from spotlight_spec import Manifest, RecordError, decode, read_json
 

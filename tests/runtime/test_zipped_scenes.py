@@ -10,7 +10,7 @@ from support.scenes import make_scene
 from runtime.scene_comparison import assert_same_scene
 from spotlight_runtime import Scene
 from spotlight_runtime.errors import SceneError, SpotLightError, UnsafePathError
-from spotlight_runtime.scenes import bundle
+from spotlight_runtime.scenes import archive as unzipping
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def test_entry_outside_the_folder_is_refused_before_anything_is_written(folder, 
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(UnsafePathError, match=r"slip\.zip: .* lies outside"):
-        bundle.unpack(archive, out)
+        unzipping.unpack(archive, out)
     assert list(out.iterdir()) == []
     with pytest.raises(UnsafePathError):
         Scene.load(archive)
@@ -83,7 +83,7 @@ def test_bomb_is_refused_before_it_is_unpacked(folder, tmp_path):
         bundle_zip.writestr("scene.json", "{}")
         bundle_zip.writestr("small.bin", b"\0" * 1000)
     data = archive.read_bytes()
-    claimed = struct.pack("<I", bundle.MAX_ZIP_BYTES)
+    claimed = struct.pack("<I", unzipping.MAX_ZIP_BYTES)
     # The central directory is what infolist() reads; its sizes come 24 bytes into an entry.
     entry = data.rindex(b"PK\x01\x02")
     archive.write_bytes(data[: entry + 24] + claimed + data[entry + 28 :])

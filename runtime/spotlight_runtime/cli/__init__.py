@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from typing import Final
 
+import cv2
 import typer
 
 from spotlight_runtime.cli.compose import compose
@@ -15,6 +17,10 @@ from spotlight_runtime.cli.shadow import shadow
 from spotlight_runtime.errors import SpotLightError
 
 __all__ = ["main"]
+
+OUT_OF_MEMORY: Final = -4
+"""OpenCV's code, which it gives instead of Python's error."""
+MEMORY_ADVICE: Final = "take a smaller picture, --window auto, or --low-memory"
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -40,4 +46,12 @@ def main() -> None:
         app()
     except (SpotLightError, OSError) as error:
         print("spotlight:", " ".join(str(error).split()), file=sys.stderr)
+        sys.exit(1)
+    except MemoryError as error:
+        print(f"spotlight: not enough memory ({error}): {MEMORY_ADVICE}", file=sys.stderr)
+        sys.exit(1)
+    except cv2.error as error:
+        if error.code != OUT_OF_MEMORY:
+            raise
+        print(f"spotlight: not enough memory ({error.err}): {MEMORY_ADVICE}", file=sys.stderr)
         sys.exit(1)

@@ -169,7 +169,7 @@ def check_target(path: Path) -> None:
     InvalidInputError
         If no image format goes by this suffix.
     ImageFileError
-        If its folder does not exist.
+        If its folder does not exist, or cannot be written to.
     """
     suffix = path.suffix.lower()
     if suffix not in _READABLE:
@@ -178,6 +178,8 @@ def check_target(path: Path) -> None:
         )
     if not os.path.isdir(path.parent):
         raise ImageFileError(f"{path}: cannot be written: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise ImageFileError(f"{path}: cannot be written: the folder {path.parent} is read-only")
 
 
 def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:

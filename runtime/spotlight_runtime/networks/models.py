@@ -114,17 +114,45 @@ def open_networks(
     ModelIntegrityError
         If a file is missing, truncated or changed since it was exported.
     """
+    stamps = _stamps(model)
     if verify_files and (problems := model.manifest.damaged_files(model.path)):
         raise ModelIntegrityError(
             f"{model.path}: {'; '.join(problems)}. Copy the folder again or export the model again"
         )
-    return LazyNetworks(model, tuple(providers), threads)
+    return LazyNetworks(model, tuple(providers), threads, stamps if verify_files else None)
+
+
+Stamp = tuple[int, int, int]
+"""Of a file: its number, size and time of change."""
+
+
+def _stamps(model: ModelFolder) -> tuple[Stamp | None, ...]:
+    """What tells the files of a model from what they may be later; None of one that is missing."""
+    found: list[Stamp | None] = []
+    for entry in model.manifest.files:
+        try:
+            status = os.stat(model.path / entry.path)
+            found.append((status.st_ino, status.st_size, status.st_mtime_ns))
+        except (OSError, ValueError):
+            found.append(None)
+    return tuple(found)
 
 
 class LazyNetworks(Mapping[str, Network]):
-    """Graph name → network; opens sessions on demand and can let them go to free memory."""
+    """Graph name → network; opens sessions on demand and can let them go to free memory.
 
-    def __init__(self, model: ModelFolder, providers: tuple[str, ...], threads: int | None) -> None:
+    Files that were verified are verified again when a session is opened later and they have been
+    written to meanwhile, so that one model never runs with another's graphs.
+    """
+
+    def __init__(
+        self,
+        model: ModelFolder,
+        providers: tuple[str, ...],
+        threads: int | None,
+        stamps: tuple[Stamp | None, ...] | None = None,
+    ) -> None:
+        self._stamps = stamps
         self._model = model
         self._providers = providers
         self._threads = threads
@@ -134,6 +162,7 @@ class LazyNetworks(Mapping[str, Network]):
         network = self._open.get(name)
         if network is None:
             contract = self._model.manifest.graph(name)
+            self._verify_again()
             network = open_graph(
                 self._model.path, contract, providers=self._providers, threads=self._threads
             )
@@ -145,6 +174,18 @@ class LazyNetworks(Mapping[str, Network]):
 
     def __len__(self) -> int:
         return len(self._model.manifest.graphs)
+
+    def _verify_again(self) -> None:
+        """Raise where a verified file is no longer what it was."""
+        stamps = _stamps(self._model)
+        if self._stamps is None or stamps == self._stamps:
+            return
+        if problems := self._model.manifest.damaged_files(self._model.path):
+            raise ModelIntegrityError(
+                f"{self._model.path}: changed since it was loaded: {'; '.join(problems)}. "
+                "Load the model again"
+            )
+        self._stamps = stamps
 
     def release(self, *names: str) -> None:
         """Close the sessions of these graphs; they open again when used."""

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.errors import InvalidInputError, MissingExtraError
+from spotlight_runtime.errors import ImageFileError, InvalidInputError, MissingExtraError
 from spotlight_runtime.geometry.lights import Light
 from spotlight_runtime.relighting.window import shrink
+from spotlight_spec import replacing
 
 __all__ = ["Tile", "check_animation", "contact_sheet", "make_tile", "ring", "write_animation"]
 
@@ -143,9 +144,17 @@ def write_animation(path: Path, pictures: Iterable[FloatArray]) -> None:
     """
     check_animation(path)
     frames = [_eight_bit(picture) for picture in pictures]
-    if path.suffix.lower() == ".mp4":
-        _write_film(path, frames)
-        return
+    try:
+        with replacing(path, keep_suffix=True) as unfinished:
+            if path.suffix.lower() == ".mp4":
+                _write_film(unfinished, frames)
+            else:
+                _write_loop(unfinished, frames)
+    except OSError as error:
+        raise ImageFileError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _write_loop(path: Path, frames: Sequence[npt.NDArray[np.uint8]]) -> None:
     from PIL import Image
 
     first, *others = [Image.fromarray(frame) for frame in frames]

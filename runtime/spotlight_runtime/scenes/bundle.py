@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, sparse_copy
-from spotlight_runtime.errors import SceneError, UnsafePathError
+from spotlight_runtime.errors import SceneError, SpotLightError, UnsafePathError
 from spotlight_runtime.geometry.ground import Ground
 from spotlight_runtime.geometry.mesh import ObjectMesh
 from spotlight_runtime.geometry.mesh_files import read_mesh, write_mesh
@@ -27,7 +27,7 @@ from spotlight_runtime.scenes.map_files import (
     write_reduced,
 )
 from spotlight_runtime.scenes.scene import MAP_NAMES, Intrinsics, Scene
-from spotlight_spec import RecordError, decode, encode, read_json, replacing, write_json
+from spotlight_spec import RecordError, alone_in, decode, encode, read_json, replacing, write_json
 
 __all__ = [
     "SCENE_FILE",
@@ -36,15 +36,11 @@ __all__ = [
     "SceneFile",
     "load_bundle",
     "save_bundle",
-    "unpack",
 ]
 
 
 SCENE_FILE: Final = "scene.json"
 MESH_FILE: Final = "object_mesh.npz"
-MAX_ZIP_BYTES: Final = 1 << 30
-MAX_ZIP_ENTRIES: Final = 2000
-"""A scene has some twenty files; with ready shadows of many lights, hundreds."""
 
 
 _Row = tuple[float, float, float, float]
@@ -105,6 +101,25 @@ class SceneFile:
 
 def load_bundle(folder: Path) -> Scene:
     """Read a bundle folder; see `Scene.load` for what can be wrong with it."""
+    before = _stamp(folder)
+    scene = _load_once(folder)
+    if before is None or _stamp(folder) != before:
+        raise SceneError(
+            f"{folder / SCENE_FILE}: the scene was saved again while it was read; load it again"
+        )
+    return scene
+
+
+def _stamp(folder: Path) -> tuple[int, int] | None:
+    """What tells one save of a bundle from the next."""
+    try:
+        status = os.stat(folder / SCENE_FILE)
+    except OSError:
+        return None
+    return status.st_ino, status.st_mtime_ns
+
+
+def _load_once(folder: Path) -> Scene:
     path = folder / SCENE_FILE
     try:
         record = decode(SceneFile, read_json(path), where=str(path))
@@ -148,6 +163,8 @@ def save_bundle(
 ) -> None:
     """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene.
 
+    Who saves into the same folder meanwhile waits, so that files of two scenes are not mixed.
+
     Parameters
     ----------
     scene : Scene
@@ -162,6 +179,20 @@ def save_bundle(
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise SceneError(f"{folder}: expected a folder to save in, found a file") from error
+    except OSError as error:
+        raise SceneError(f"{folder}: cannot be saved in: {error.strerror or error}") from error
+    try:
+        with alone_in(folder):
+            _save_files(scene, folder, photograph, working_side)
+    except SpotLightError:
+        raise
+    except OSError as error:
+        raise SceneError(f"{folder}: cannot be saved: {error.strerror or error}") from error
+
+
+def _save_files(
+    scene: Scene, folder: Path, photograph: Path | None, working_side: int | None
+) -> None:
     (folder / SCENE_FILE).unlink(missing_ok=True)
     box = covered_box(scene.object_mask)
     jobs: dict[tuple[str, str], Callable[[], MapFile]] = {
@@ -255,44 +286,3 @@ def _copy_photograph(folder: Path, photograph: Path) -> MapFile:
     with replacing(folder / name) as unfinished:
         unfinished.write_bytes(data)
     return MapFile(name, encoding="srgb")
-
-
-def unpack(archive: Path, folder: Path) -> Path:
-    """Unpack a zipped scene into ``folder`` and return the folder that holds the scene.
-
-    Raises
-    ------
-    UnsafePathError
-        If an entry would be written outside ``folder``.
-    SceneError
-        If the archive is damaged or unpacks to more than the limit.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with zipfile.ZipFile(archive) as bundle:
-            _check_entries(bundle, archive, folder)
-            bundle.extractall(folder)
-    except SceneError:
-        raise
-    except Exception as error:  # what zipfile and its decompressors raise shares no base class
-        raise SceneError(f"{archive}: cannot be unpacked: {error}") from error
-    entries = list(folder.iterdir())
-    return entries[0] if len(entries) == 1 and entries[0].is_dir() else folder
-
-
-def _check_entries(bundle: zipfile.ZipFile, archive: Path, folder: Path) -> None:
-    total, count = 0, len(bundle.infolist())
-    if count > MAX_ZIP_ENTRIES:
-        raise SceneError(
-            f"{archive}: holds {count} files, more than the limit of {MAX_ZIP_ENTRIES}; "
-            "zip the scene's own files only"
-        )
-    for entry in bundle.infolist():
-        total += entry.file_size
-        if not (folder / entry.filename).resolve().is_relative_to(folder.resolve()):
-            raise UnsafePathError(f"{archive}: {entry.filename!r} lies outside the bundle")
-    if total > MAX_ZIP_BYTES:
-        raise SceneError(
-            f"{archive}: unpacks to {total} bytes, more than the limit of {MAX_ZIP_BYTES}; "
-            "load the unpacked folder instead"
-        )

@@ -180,7 +180,8 @@ class Scene:
         """
         path = Path(path)
         # The readers build scenes, so they know this module and it meets them only here.
-        from spotlight_runtime.scenes.bundle import SCENE_FILE, load_bundle, unpack
+        from spotlight_runtime.scenes.archive import unpack
+        from spotlight_runtime.scenes.bundle import SCENE_FILE, load_bundle
         from spotlight_runtime.scenes.testset import bundle_file, load_published
 
         if _is_zip(path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -113,8 +115,10 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
     for model in settings.models:
         resolve_model(model)  # now, not in a worker that dies again and again
     scratch = settings.data / "scratch"
-    scratch.mkdir(parents=True, exist_ok=True, mode=0o700)
-    tempfile.tempdir = str(scratch)  # uploads, too, on the disk whose space is watched
+    shutil.rmtree(scratch, ignore_errors=True)  # of one that was killed
+    scratch.mkdir(parents=True, mode=0o700)
+    # Uploads, too, on the disk whose space is watched; the studio is a child and does likewise.
+    os.environ["TMPDIR"] = tempfile.tempdir = str(scratch)
     configure_logging()
     crew: Any = "own"
     if ray:

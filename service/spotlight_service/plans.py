@@ -2,74 +2,111 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final, get_args
 
-from spotlight_runtime import Progress, RelightOptions
-from spotlight_service.problems import FieldError
-from spotlight_service.schemas import PlanName
+from spotlight_runtime import Light, Progress, Relighter, Scene
+from spotlight_runtime.cli.demo import find_scene
+from spotlight_runtime.planning.ladder import PlanName, named_rung
+from spotlight_runtime.relighting.tasks import Task, Wishes, check_wishes
 
-__all__ = ["check_plan", "evaluations_at", "evaluations_of", "offered", "plan_report", "planned"]
+__all__ = [
+    "PlanName",
+    "check_plan",
+    "evaluations_at",
+    "evaluations_of",
+    "offered",
+    "plan_report",
+    "predicted",
+    "prepared",
+]
 
-SUPPORTED: Final = ("exact",)
-WHAT: Final = {
+USUAL: Final = "exact"
+SUMMARIES: Final = {
     "exact": "every effect the scene calls for; what could not change the picture is left out",
+    "balanced": "fewer steps, guidance in the first half",
+    "draft": "a few steps, to see what will come",
 }
+_LIGHT: Final = Light(azimuth=135.0, elevation=45.0)
+"""Of what plans are predicted for: a scene that comes along, and one light."""
 
 
-def check_plan(plan: PlanName | None, budget_s: float | None) -> None:
-    """Raise where this service cannot keep to the plan or the budget.
-
-    Raises
-    ------
-    FieldError
-    """
-    if plan is not None and budget_s is not None:
-        raise FieldError("budget_s", "a plan or a budget", "both", advice="leave one out")
-    if budget_s is not None:
-        raise FieldError("budget_s", "nothing: plans only, as yet", budget_s, advice="name a plan")
-    if plan is not None and plan not in SUPPORTED:
-        raise FieldError("plan", f"one of {', '.join(SUPPORTED)}", plan)
-
-
-def planned(
-    options: RelightOptions, plan: PlanName | None, budget_s: float | None
-) -> RelightOptions:
-    """The options a plan or a budget stands for.
+def check_plan(request: Mapping[str, Any]) -> None:
+    """Raise where options, plan or budget are out of their domain.
 
     Parameters
     ----------
-    options : RelightOptions
-        As the request says.
-    plan : {"exact", "balanced", "draft"}, optional
-    budget_s : float, optional
-        Seconds.
+    request : mapping
+        With ``options``, ``plan`` and ``budget_s``, as jobs have them.
+
+    Raises
+    ------
+    InvalidInputError
     """
-    check_plan(plan, budget_s)
-    return options
+    check_wishes(_wishes(request))
 
 
-def plan_report(task: Any) -> dict[str, Any]:
-    """What will be run, of a prepared task."""
-    report: dict[str, Any] = task.plan.report()
-    return report
+def prepared(
+    relighter: Relighter, scene: Scene, guides: Any, negative: Any, request: Mapping[str, Any]
+) -> Task:
+    """Make a relight ready to run, after the plan or the budget it asks for.
+
+    Raises
+    ------
+    SpotLightError
+        See `Relighter.prepare`.
+    """
+    return relighter.prepare(scene, guides, negative, **_wishes(request))
 
 
-def evaluations_of(task: Any) -> int:
-    """Denoiser evaluations that a prepared task takes."""
-    return int(task.plan.evaluations)
+def plan_report(task: Task) -> dict[str, Any]:
+    """What will be run, and why."""
+    return task.plan.report()
 
 
-def evaluations_at(task: Any, progress: Progress) -> int:
+def evaluations_of(task: Task) -> int:
+    """Denoiser evaluations that a relight takes."""
+    return task.plan.evaluations
+
+
+def evaluations_at(task: Task, progress: Progress) -> int:
     """Denoiser evaluations that one step of it took."""
     if progress.stage == "no shadow":
         return 1
-    return int(task.plan.passes[progress.light].branches_at(progress.step.index))
+    return task.plan.passes[progress.light].branches_at(progress.step.index)
 
 
-def offered(seconds: float) -> list[dict[str, Any]]:
-    """The plans there are, with the seconds each lately took on this machine."""
+def predicted(relighter: Relighter) -> dict[str, float]:
+    """Seconds that each plan takes on this machine, for a small scene and one light."""
+    scene = Scene.load(find_scene(None))
+    relighter.calibrated()
+    found = {name: relighter.plan(scene, _LIGHT, plan=name) for name in get_args(PlanName)}
+    return {name: round(plan.seconds or 0.0, 3) for name, plan in found.items()}
+
+
+def offered(seconds: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The plans there are: what each leaves out, what it takes here, and what it costs.
+
+    Parameters
+    ----------
+    seconds : mapping of str to float
+        As `predicted` says; empty where nothing has been measured yet.
+    """
     return [
-        {"name": name, "summary": WHAT[name], "seconds": round(seconds, 3)}
+        {
+            "name": name,
+            "summary": SUMMARIES[name],
+            "seconds": seconds.get(name),
+            "loss_db": named_rung(name).loss_db,
+        }
         for name in get_args(PlanName)
-        if name in SUPPORTED
     ]
+
+
+def _wishes(request: Mapping[str, Any]) -> Wishes:
+    wishes: dict[str, Any] = dict(request["options"])
+    if request["plan"] is not None or request["budget_s"] is None:
+        wishes["plan"] = request["plan"] or USUAL
+    if request["budget_s"] is not None:
+        wishes["budget"] = request["budget_s"]
+    return wishes  # type: ignore[return-value]

@@ -6,11 +6,14 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["DrawnLight", "PlacedLight", "PlanName", "RelightRequest", "ShadowRequest"]
+from spotlight_service.plans import PlanName
 
-PlanName = Literal["exact", "balanced", "draft"]
+__all__ = ["PLANNED", "DrawnLight", "PlacedLight", "RelightRequest", "ShadowRequest"]
+
 
 MOST_LIGHTS: Final = 16
+PLANNED: Final = ("steps", "solver", "fidelity", "window", "detail")
+"""Options that a plan chooses where a request does not."""
 SCENE_ID: Final = r"^[0-9a-f]{64}$"
 SAMPLE_ID: Final = "0" * 64
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -120,7 +123,9 @@ class RelightRequest(_Strict):
         False, description="Each light a picture of its own, together on a contact sheet."
     )
     model: str = Field("mini", min_length=1, max_length=200)
-    plan: PlanName | None = Field(None, description="How much accuracy to trade for time; exact.")
+    plan: PlanName | None = Field(
+        None, description="How much accuracy to trade for time: exact unless there is a budget."
+    )
     budget_s: Finite | None = Field(
         None, gt=0, le=86400, description="Instead of a plan: seconds it may take."
     )
@@ -139,6 +144,9 @@ class RelightRequest(_Strict):
     detail: Literal["auto", "renderer", "maps"] = "auto"
 
     def options(self) -> dict[str, Any]:
-        """The fields that are `RelightOptions`'."""
-        names = ("gamma", "beta", "seed", "steps", "solver", "fidelity", "window", "detail")
-        return {name: getattr(self, name) for name in names}
+        """`RelightOptions` as asked for; what is left open is the plan's to choose."""
+        always = ("gamma", "beta", "seed")
+        given = [name for name in PLANNED if name in self.model_fields_set]
+        return {
+            name: value for name in (*always, *given) if (value := getattr(self, name)) is not None
+        }

@@ -35,6 +35,9 @@ class Settings(BaseSettings):
         Names or folders; one worker each.
     threads : int, optional
         Threads of one inference; by default the CPUs the process may use.
+    measure : bool
+        Measure at the start what plans take on this machine, so that they can be told; budgets
+        are measured for in any case.
     queue : int
         Jobs that may wait; further ones are answered 429.
     deadline_s, longest_deadline_s : float
@@ -79,6 +82,7 @@ class Settings(BaseSettings):
     insecure_open: bool = False
     models: tuple[str, ...] = ("mini",)
     threads: int | None = Field(None, ge=1)
+    measure: bool = True
     queue: int = Field(32, ge=1, le=1000)
     deadline_s: float = Field(1800.0, gt=0)
     longest_deadline_s: float = Field(24 * 3600.0, gt=0)

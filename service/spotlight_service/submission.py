@@ -12,13 +12,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
-from spotlight_runtime import RelightOptions
 from spotlight_runtime.errors import SpotLightError
 from spotlight_service import plans
 from spotlight_service.engine.uploads import check_picture
 from spotlight_service.lighting import light_of
 from spotlight_service.problems import FieldError, ProblemError, of_error
-from spotlight_service.schemas import DrawnLight, PlacedLight, RelightRequest
+from spotlight_service.schemas import PLANNED, DrawnLight, PlacedLight, RelightRequest
 from spotlight_service.security.keys import Caller
 from spotlight_service.serving import Service
 from spotlight_service.storage.files import require_space
@@ -158,7 +157,7 @@ def request_digest(
     for number, kind, data in drawings:
         body["lights"][number][kind] = hashlib.sha256(data).hexdigest()
     body["options"] = request.options()
-    for name in body["options"]:
+    for name in ("gamma", "beta", "seed", *PLANNED):
         del body[name]
     text = json.dumps(body, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest(), body
@@ -180,9 +179,11 @@ def _checked(service: Service, request: RelightRequest) -> float:
     if isinstance(request.negative, PlacedLight):
         with _naming("negative"):
             light_of(request.negative.model_dump())
+    if request.plan is not None and request.budget_s is not None:
+        raise FieldError("budget_s", "a plan or a budget", "both", advice="leave one out")
+    wishes = {"options": request.options(), "plan": request.plan, "budget_s": request.budget_s}
     with _naming(""):
-        options = RelightOptions(**request.options())
-        plans.planned(options, request.plan, request.budget_s)
+        plans.check_plan(wishes)
     return deadline
 
 

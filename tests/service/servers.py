@@ -20,7 +20,14 @@ PATIENCE_S = 60.0
 class Server:
     """``python -m spotlight_service`` on a free port, with whatever settings are named."""
 
-    def __init__(self, data: Path, models: Path, *arguments: str, **settings: object) -> None:
+    def __init__(
+        self,
+        data: Path,
+        models: Path,
+        *arguments: str,
+        warnings: str = "error",
+        **settings: object,
+    ) -> None:
         self.data, self.log = data, data.parent / f"{data.name}.log"
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -30,8 +37,10 @@ class Server:
         self._environment = {
             **os.environ,
             "SPOTLIGHT_MODELS": str(models),
+            "XDG_CACHE_HOME": str(models / "cache"),
             "SPOTLIGHT_SERVE_THREADS": "1",
-            "PYTHONWARNINGS": "error",
+            "SPOTLIGHT_SERVE_MEASURE": "false",
+            "PYTHONWARNINGS": warnings,
             **{f"SPOTLIGHT_SERVE_{name.upper()}": str(value) for name, value in settings.items()},
         }
         self.process: subprocess.Popen[bytes] | None = None

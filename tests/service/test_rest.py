@@ -186,6 +186,28 @@ def test_a_result_is_409_until_it_is_there(server, client, scene):
     client.cancel(job)
 
 
+def test_plans_take_fewer_evaluations_and_options_of_ones_own_go_before(client, scene):
+    def evaluations(**wishes):
+        job = client.wait(client.relight(scene, [LIGHT], model="tiny", **wishes))
+        assert job.state == "done", job.facts["error"]
+        report = client.report(job)
+        assert job.facts["plan"]["evaluations"] == report["evaluations"]
+        return report["evaluations"], report["options"]["steps"]
+
+    # The tiny backbone's own 4 steps are fewer than a balanced plan's.
+    assert evaluations(plan="draft", seed=21) < evaluations(plan="exact", seed=22)
+    assert evaluations(plan="draft", steps=3, seed=23)[1] == 3
+
+
+def test_a_budget_is_kept_or_refused(client, scene):
+    job = client.wait(client.relight(scene, [LIGHT], model="tiny", budget_s=600))
+    assert job.facts["plan"]["name"] == "exact"
+    tight = client.wait(client.relight(scene, [LIGHT], model="tiny", budget_s=1e-6))
+    assert tight.state == "failed"
+    assert tight.facts["error"]["status"] == 422
+    assert "budget" in tight.facts["error"]["detail"]
+
+
 def test_jobs_are_listed_newest_first(client, scene):
     made = [client.relight(scene, [LIGHT], model="tiny", seed=s).id for s in (1, 2)]
     listed = [job.id for job in client.jobs(limit=2)]

@@ -32,7 +32,7 @@ async def capabilities(service: Here) -> dict[str, Any]:
     settings = service.settings
     waiting = sum(n for (_, state), n in service.jobs.counts().items() if state == "queued")
     return {
-        "plans": {m: plans.offered(service.jobs.seconds(m)) for m in settings.models},
+        "plans": {model: _plans(service, model) for model in settings.models},
         "limits": {
             "upload_bytes": settings.max_upload_bytes,
             "json_bytes": settings.max_json_bytes,
@@ -60,6 +60,11 @@ async def capabilities(service: Here) -> dict[str, Any]:
 def metrics(service: Here) -> Response:
     """Numbers for Prometheus."""
     return Response(generate_latest(service.metrics.registry), media_type=CONTENT_TYPE_LATEST)
+
+
+def _plans(service: Service, model: str) -> list[dict[str, Any]]:
+    measured = [facts["plans"] for facts in service.book.living().get(model, ())]
+    return plans.offered(next(filter(None, measured), {}))
 
 
 def model_facts(service: Service, name: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from spotlight_runtime import Progress, Relighter, RelightOptions, RelightResult, write_image
+from spotlight_runtime import Progress, Relighter, RelightResult, write_image
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.imaging.images import encode_png
 from spotlight_runtime.relighting.sweep import contact_sheet, make_tile
@@ -86,15 +86,18 @@ class Engine:
             outcome = left.why
             self._leave(claim, left.why)
         except Exception as error:  # a job's failure is the job's; the worker goes on
-            log.exception("failed", extra=said)
             outcome = "failed"
-            hide = [
-                str(self._scenes / claim.job.request["scene"]),
-                str(self._files.folder(claim.job.id)),
-            ]
-            self._queue.finish(claim, "failed", error=of_error(error, hide).document())
+            self._fail(claim, error)
         seconds = round(time.perf_counter() - started, 4)
         log.info(outcome, extra={**said, "seconds": seconds})
+
+    def _fail(self, claim: Claim, error: Exception) -> None:
+        job = claim.job
+        hide = [str(self._scenes / job.request["scene"]), str(self._files.folder(job.id))]
+        problem = of_error(error, hide)
+        if problem.status >= 500:
+            log.exception("fault", extra={"job": job.id})
+        self._queue.finish(claim, "failed", error=problem.document())
 
     def _leave(self, claim: Claim, why: str) -> None:
         if why == "cancel":
@@ -114,9 +117,7 @@ class Engine:
             request["lights"], scene, lambda n, kind: self._files.drawing(job.id, n, kind)
         )
         negative = negative_of(request["negative"])
-        base = RelightOptions(**request["options"])
-        options = plans.planned(base, request["plan"], request["budget_s"])
-        task = self._relighter.prepare(scene, guides, negative, options)
+        task = plans.prepared(self._relighter, scene, guides, negative, request)
         self._queue.tell(claim, plan=plans.plan_report(task))
         watcher = _Watcher(self, claim, stopping, task)
         watcher.check()

@@ -20,6 +20,7 @@ from spotlight_service.engine.execution import Engine
 from spotlight_service.engine.scene_cache import SceneCache
 from spotlight_service.logs import configure_logging
 from spotlight_service.memory import resident_bytes
+from spotlight_service.plans import predicted
 from spotlight_service.settings import Settings
 from spotlight_service.storage.database import Database
 from spotlight_service.storage.files import JobFiles
@@ -48,6 +49,9 @@ class Bench:
     queue : WorkQueue
     book : WorkerBook
     cache : SceneCache
+    relighter : Relighter
+    plans : dict of str to float
+        Seconds that plans take here, once they have been measured.
     """
 
     id: str
@@ -56,6 +60,13 @@ class Bench:
     queue: WorkQueue
     book: WorkerBook
     cache: SceneCache
+    relighter: Relighter
+    plans: dict[str, float]
+
+    def predict(self) -> None:
+        """Measure what plans take on this machine."""
+        self.plans.update(predicted(self.relighter))
+        log.info("measured", extra={"plans": self.plans})
 
     def work_once(self, stopping: threading.Event) -> bool:
         """Do one job; False if there was none."""
@@ -69,7 +80,12 @@ class Bench:
     def note(self) -> None:
         """Write down that this worker lives, and what it holds."""
         cache = {"hits": self.cache.hits, "misses": self.cache.misses, "bytes": self.cache.bytes}
-        facts = {"pid": os.getpid(), "resident_bytes": resident_bytes(), "scene_cache": cache}
+        facts = {
+            "pid": os.getpid(),
+            "resident_bytes": resident_bytes(),
+            "scene_cache": cache,
+            "plans": self.plans,
+        }
         self.book.note(self.id, self.model, facts)
 
 
@@ -87,7 +103,8 @@ def set_up(settings: Settings, model: str, worker: str) -> Bench:
     files, cache = JobFiles(settings.data / "jobs"), SceneCache(settings.scene_cache_bytes)
     scenes = settings.data / "scenes"
     engine = Engine(relighter, queue, files, scenes, cache, settings.lease_s)
-    return Bench(worker, model, engine, queue, WorkerBook(database), cache)
+    book = WorkerBook(database)
+    return Bench(worker, model, engine, queue, book, cache, relighter, {})
 
 
 def main() -> None:
@@ -101,6 +118,9 @@ def main() -> None:
     model, worker = config["model"], config["worker"]
     bench = set_up(settings, model, worker)
     log.info("ready", extra={"model": model, "worker": worker})
+    bench.note()
+    if settings.measure:
+        bench.predict()
     noted = -BEAT_S
     while not stopping.is_set():
         if time.monotonic() - noted > BEAT_S:

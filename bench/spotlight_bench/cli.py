@@ -36,9 +36,11 @@ def main() -> None:
         )
     from spotlight_bench.combinations_command import combinations
     from spotlight_bench.evaluate_command import evaluate
+    from spotlight_bench.pareto_command import pareto
+    from spotlight_bench.peers_command import peers
     from spotlight_bench.stability_command import stability
 
-    for command in (evaluate, combinations, stability):
+    for command in (evaluate, combinations, pareto, peers, stability):
         app.command()(command)
     try:
         app()

@@ -36,8 +36,8 @@ def test_ladder_descends_and_has_the_named_plans():
     rungs = read_ladder()
     assert rungs[0].name == "exact"
     assert rungs[0].options == {}
-    losses = [rung.loss_db for rung in rungs if rung.loss_db is not None]
-    assert losses == sorted(losses)
+    fidelity = [rung.fidelity_db for rung in rungs if rung.fidelity_db is not None]
+    assert fidelity == sorted(fidelity, reverse=True)
 
 
 def test_a_named_plan_is_where_options_start(relighter, scene, shadow):

@@ -33,12 +33,16 @@ class Rung:
     options : dict
         Fields of `RelightOptions` that differ from the exact plan's.
     loss_db : float or None
-        PSNR of the object lost against the exact plan, on the evaluation scenes.
+        PSNR of the object against the truth that is lost, compared with the exact plan, on the
+        evaluation scenes; below 0 where it gained.
+    fidelity_db : float or None
+        PSNR against the exact plan's own pictures: what rungs descend in.
     """
 
     name: str
     options: dict[str, Any]
     loss_db: float | None
+    fidelity_db: float | None = None
 
 
 @cache

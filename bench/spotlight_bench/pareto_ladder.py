@@ -1,0 +1,109 @@
+"""The ladder that budgets and named plans climb: rungs on the front, the most accurate first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+from spotlight_bench.errors import ResultsError
+from spotlight_bench.pareto_grid import EXACT
+from spotlight_bench.pareto_summary import NEAR, Point
+
+__all__ = ["BALANCED_SHARE", "DRAFT_SHARE", "claims", "ladder_record", "name_rungs"]
+
+BALANCED_SHARE: Final = 1 / 4
+DRAFT_SHARE: Final = 1 / 12
+"""Of the exact plan's time, at most."""
+CLOSER: Final = 0.8
+"""A rung between the named ones takes at most this share of the time of the one above."""
+BALANCED_LOSS, DRAFT_LOSS = 0.1, 0.5
+"""PSNR of the object against the truth that may be lost, dB."""
+FOLLOWING_LOSS: Final = 2.0
+"""Percentage points of light following, within ±45°, that the balanced plan may lose."""
+
+
+def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
+    """Name the rungs among points whose front is marked.
+
+    ``balanced`` is the most accurate at a quarter of the exact plan's time or less, ``draft`` at a
+    twelfth; where none is that fast, the fastest. Where both are one point, it stands twice.
+
+    Parameters
+    ----------
+    found : sequence of Point
+        The exact plan first; those of other models are on no ladder, which knows none.
+
+    Returns
+    -------
+    tuple of Point
+        The rungs: the exact plan, then descending in accuracy.
+
+    Raises
+    ------
+    ResultsError
+        If there is nothing but the exact plan.
+    """
+    own = found[0].candidate.model
+    others = [p for p in found if p.front and p.candidate.model == own and p.candidate.options]
+    if not others:
+        raise ResultsError("ladder: expected savings on the front, found the exact plan alone")
+    falling = sorted(others, key=lambda point: (-point.fidelity, point.cost))
+    balanced, draft = (
+        next((p for p in falling if p.cost <= share), falling[-1])
+        for share in (BALANCED_SHARE, DRAFT_SHARE)
+    )
+    rungs, last = [replace(found[0], rung=EXACT)], found[0].cost
+    for point in falling:
+        if point in (balanced, draft):
+            rungs += [replace(point, rung="balanced")] if point is balanced else []
+            rungs += [replace(point, rung="draft")] if point is draft else []
+        elif point.cost <= CLOSER * last:
+            rungs.append(replace(point, rung=point.candidate.name))
+        else:
+            continue
+        last = point.cost
+    return tuple(rungs)
+
+
+def ladder_record(rungs: Sequence[Point], measured: dict[str, Any]) -> dict[str, Any]:
+    """What `spotlight_runtime.planning.ladder` reads.
+
+    Parameters
+    ----------
+    rungs : sequence of Point
+    measured : dict
+        On what: model, scenes.
+    """
+    return {
+        "measured": measured,
+        "rungs": [
+            {
+                "name": point.rung,
+                "options": point.candidate.options,
+                "loss_db": None if point.loss_db is None else round(point.loss_db, 3) + 0.0,
+                "fidelity_db": None if point.rung == EXACT else round(point.fidelity, 2),
+            }
+            for point in rungs
+        ],
+    }
+
+
+def claims(rungs: Sequence[Point]) -> tuple[tuple[str, bool], ...]:
+    """What the named plans are to keep, each with whether they do."""
+    by_name = {point.rung: point for point in rungs}
+    balanced, draft = by_name["balanced"], by_name["draft"]
+    lost = balanced.losses.get(NEAR)
+    points = None if lost is None else 100.0 * lost.mean
+    checks = [
+        ("balanced: time ≤ 1/4 of exact", balanced.cost, BALANCED_SHARE),
+        ("balanced: object PSNR lost ≤ 0.1 dB", balanced.loss_db, BALANCED_LOSS),
+        ("balanced: light following lost ≤ 2 points", points, FOLLOWING_LOSS),
+        ("draft: time ≤ 1/12 of exact", draft.cost, DRAFT_SHARE),
+        ("draft: object PSNR lost ≤ 0.5 dB", draft.loss_db, DRAFT_LOSS),
+    ]
+    return tuple(
+        (f"{text} (found {value:.3g})", value <= limit)
+        for text, value, limit in checks
+        if value is not None
+    )

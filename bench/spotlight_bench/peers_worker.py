@@ -1,0 +1,174 @@
+"""One peer at work in a process of its own: evaluations, then whole relights, by the clock.
+
+``python -m spotlight_bench.peers_worker WISH.json``; its answer is a JSON line on stdout, its
+pictures and predictions NumPy files where the wish says.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from spotlight_bench.peers_engines import open_engine
+from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, Scene
+from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.relighting.result import peak_memory_bytes
+from spotlight_runtime.scenes.scene import Intrinsics
+from spotlight_spec import BackboneSpec, Manifest
+
+__all__ = ["evaluations", "main", "relight", "scene_of"]
+
+TIMESTEPS: Final = (999, 600, 200)
+"""What a run begins, goes through and ends with."""
+SEED: Final = 0
+
+
+def main(wish: dict[str, Any]) -> dict[str, Any]:
+    """Measure one peer.
+
+    Parameters
+    ----------
+    wish : dict
+        ``engine source precision threads`` as `open_engine` takes them; ``spec``, a model folder
+        whose backbone it is; ``side`` of the picture; ``evaluations`` to time; ``relights``, plans
+        to run whole; ``output``, a folder for what came out.
+
+    Returns
+    -------
+    dict
+        ``evaluation_seconds``, ``relight_seconds`` by plan, ``relight_evaluations`` by plan,
+        ``load_seconds``, ``peak_memory_bytes``.
+    """
+    spec = Manifest.read(Path(wish["spec"])).backbone
+    start = time.perf_counter()
+    networks = open_engine(wish["engine"], Path(wish["source"]), wish["precision"], wish["threads"])
+    predictions, seconds, first = evaluations(networks, spec, wish["side"], wish["evaluations"])
+    loading = time.perf_counter() - start - sum(seconds)
+    output = Path(wish["output"])
+    output.mkdir(parents=True, exist_ok=True)
+    np.save(output / "predictions.npy", predictions)
+    answer: dict[str, Any] = {
+        "evaluation_seconds": seconds,
+        "first_evaluation_seconds": first,
+        "load_seconds": loading,
+        "relight_seconds": {},
+        "relight_evaluations": {},
+    }
+    for plan in wish["relights"]:
+        took, count, picture = relight(
+            networks, spec, wish["side"], plan, ours=wish["engine"] == "spotlight",
+            batched=wish["engine"] == "torch",
+        )  # fmt: skip
+        answer["relight_seconds"][plan] = took
+        answer["relight_evaluations"][plan] = count
+        np.save(output / f"relight_{plan}.npy", picture)
+    return answer | {"peak_memory_bytes": peak_memory_bytes()}
+
+
+def evaluations(
+    networks: Mapping[str, Any], spec: BackboneSpec, side: int, count: int
+) -> tuple[FloatArray, list[float], float]:
+    """One branch's evaluations on made-up latents and maps, after a first that is not counted.
+
+    Returns
+    -------
+    predictions : ndarray of float32, shape (timesteps, C, h, w)
+    seconds : list of float
+        Of ``count`` evaluations.
+    first : float
+        Seconds of the first one, with all it opens and compiles.
+    """
+    rng = np.random.default_rng(SEED)
+    small = side // spec.latent.downscale
+    latents = rng.standard_normal((1, spec.latent.channels, small, small), np.float32)
+    maps = rng.random((1, spec.conditioning_channels, side, side), np.float32)
+    condition = networks["condition_encoder"](conditioning=maps)["condition"]
+
+    def evaluate(timestep: int) -> tuple[FloatArray, float]:
+        start = time.perf_counter()
+        found = networks["denoiser"](
+            latents=latents, timestep=np.array([timestep], np.int64), condition=condition
+        )
+        return found["prediction"][0], time.perf_counter() - start
+
+    _, first = evaluate(TIMESTEPS[0])
+    made = [evaluate(TIMESTEPS[number % len(TIMESTEPS)]) for number in range(count)]
+    kept = np.stack([prediction for prediction, _ in made[: len(TIMESTEPS)]])
+    return kept, [seconds for _, seconds in made], first
+
+
+def relight(
+    networks: Mapping[str, Any],
+    spec: BackboneSpec,
+    side: int,
+    plan: str,
+    *,
+    ours: bool,
+    batched: bool,
+) -> tuple[float, int, FloatArray]:
+    """A whole relight: ``release`` is the public release's loop, others are our named plans.
+
+    Parameters
+    ----------
+    networks : mapping of str to callable
+    spec : BackboneSpec
+    side : int
+        Of the square photograph.
+    plan : str
+    ours : bool
+        Leave out what the scene does not call for; the release never does.
+    batched : bool
+        Both branches in one call, as the release has it.
+
+    Returns
+    -------
+    seconds : float
+    evaluations : int
+    prediction : ndarray of float32, shape (side, side, 3)
+    """
+    scene, guide = scene_of(side)
+    relighter = Relighter(spec, networks, remember=0)
+    options = RelightOptions(denoise=False, batch_branches=batched)
+    start = time.perf_counter()
+    if plan == "release":
+        result = relighter.relight(scene, guide, options=options, fidelity="release", skip=ours)
+    else:
+        result = relighter.relight(scene, guide, options=options, plan=plan)  # type: ignore[arg-type]
+    return time.perf_counter() - start, result.evaluations, result.prediction
+
+
+def scene_of(side: int) -> tuple[Scene, GuidingShadow]:
+    """A ball on a plain floor with its shadow to the right, contrasted with one to the left."""
+    rows, columns = np.mgrid[:side, :side].astype(np.float32) / np.float32(side)
+
+    def disc(row: float, column: float, radius: float) -> FloatArray:
+        inside = np.hypot(rows - row, columns - column) < radius
+        return inside.astype(np.float32)
+
+    ball = disc(0.45, 0.5, 0.2)
+
+    def maps(cover: FloatArray, tone: float) -> Intrinsics:
+        normal = np.zeros((side, side, 3), np.float32)
+        normal[..., 2] = cover
+        return Intrinsics(
+            albedo=np.repeat(cover[..., None], 3, axis=2) * np.float32(tone),
+            normal=normal,
+            depth=cover * (np.float32(3.0) - rows),
+            roughness=cover * np.float32(0.6),
+            metallic=np.zeros_like(cover),
+        )
+
+    background = np.repeat((0.3 + 0.3 * rows)[..., None], 3, axis=2).astype(np.float32)
+    scene = Scene(background, maps(np.ones_like(ball), 0.6), maps(ball, 0.4), ball)
+    right, left = disc(0.6, 0.65, 0.15) * (1 - ball), disc(0.6, 0.35, 0.15) * (1 - ball)
+    return scene, GuidingShadow(right, left)
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(json.loads(Path(sys.argv[1]).read_text()))))

@@ -150,7 +150,7 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
         service.state.service.broker.close_soon()
         leave(number, frame)
 
-    server.handle_exit = leaving  # type: ignore[method-assign]
+    server.handle_exit = leaving  # type: ignore[method-assign, assignment]
     server.run()
 
 

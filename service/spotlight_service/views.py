@@ -148,7 +148,8 @@ def _eta(job: Job, position: int | None, store: JobStore) -> float | None:
     if not job.progress or not job.progress["evaluations"]:
         return round(store.seconds(job.model), 2)
     done, of = job.progress["evaluations"], job.progress["of"]
-    return round(job.progress["seconds"] / done * (of - done), 2)
+    left: float = job.progress["seconds"] / done * (of - done)
+    return round(left, 2)
 
 
 def _progress(job: Job) -> Progress | None:

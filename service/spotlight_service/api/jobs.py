@@ -171,7 +171,7 @@ async def watch_job(job: JobId, service: Here, caller: CallerHere) -> EventSourc
     found = own_job(service, caller, job)
     return EventSourceResponse(
         _events(service, found),
-        ping=service.settings.keep_alive_s,  # type: ignore[arg-type]
+        ping=service.settings.keep_alive_s,
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
         shutdown_event=anyio.Event(),  # never asked: the broker ends streams
         shutdown_grace_period=_PARTING_S,

@@ -24,7 +24,9 @@ from spotlight_spec import decode
 __all__ = ["router"]
 
 router = APIRouter(prefix="/v1/scenes", tags=["scenes"])
-PNG: Final = {200: {"content": {"image/png": {}}, "description": "The picture."}}
+PNG: Final[dict[int | str, dict[str, Any]]] = {
+    200: {"content": {"image/png": {}}, "description": "The picture."}
+}
 Upload = Annotated[UploadFile | None, File()]
 Number = Annotated[float | None, Form(allow_inf_nan=False)]
 

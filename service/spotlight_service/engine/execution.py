@@ -15,7 +15,7 @@ import numpy as np
 from spotlight_runtime import Progress, Relighter, RelightResult, write_image
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.imaging.images import encode_png
-from spotlight_runtime.relighting.sweep import contact_sheet, make_tile
+from spotlight_runtime.relighting.sweep import Tile, contact_sheet, make_tile
 from spotlight_service import plans
 from spotlight_service.engine.scene_cache import SceneCache
 from spotlight_service.lighting import caption, guides_of, negative_of
@@ -140,7 +140,8 @@ class Engine:
     def _sheet(
         self, watcher: _Watcher, task: Any, mask: FloatArray, lights: list[dict[str, Any]]
     ) -> tuple[FloatArray, dict[str, Any]]:
-        tiles, reports = [], []
+        tiles: list[Tile] = []
+        reports: list[dict[str, Any]] = []
         for each in self._relighter.start_each(task):
             if isinstance(each, RelightResult):
                 text = caption(lights[len(tiles)], len(tiles))

@@ -3,7 +3,7 @@ VENV ?= .venv
 EDGE_VENV ?= .venv-edge
 BIN := $(VENV)/bin
 
-.PHONY: help setup demo test lint types unit edge test-full fuzz format clean
+.PHONY: help setup demo test lint types unit edge test-full fuzz stability format clean
 
 help:           ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -48,6 +48,10 @@ test-full: setup ## full-size export, verification and relight: half an hour, 16
 fuzz: setup     ## coverage-guided fuzzing of every parser: half an hour, goes on where it ended
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,scene,fuzz]'
 	PYTHONPATH=tests $(BIN)/python -m fuzz.guided --minutes $(or $(MINUTES),35)
+
+stability: setup ## docs/stability.md's tables and plot: hard cases, error growth, sensitivity
+	$(BIN)/spotlight-bench stability -o docs
+	PYTHONPATH=tests $(BIN)/python -m hard_cases.report docs/stability.md
 
 format: setup   ## rewrite in the house style
 	$(BIN)/ruff check --fix .

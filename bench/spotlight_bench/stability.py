@@ -8,7 +8,7 @@ latents after a step.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,7 @@ __all__ = [
     "REDUCED",
     "UNIT_ROUNDOFF",
     "Measured",
+    "in_float64",
     "measure",
     "measure_all",
     "nudged",
@@ -57,6 +58,8 @@ class Measured:
     sensitivities : tuple of float
         Relative change of the latents after each step, in units of the relative change of the
         starting latents (`NUDGE`).
+    at_once : float
+        Relative error where the same case takes the whole way in one step.
     """
 
     case: str
@@ -64,6 +67,7 @@ class Measured:
     refused: str
     errors: tuple[float, ...]
     sensitivities: tuple[float, ...]
+    at_once: float
 
     @property
     def finite(self) -> bool:
@@ -71,16 +75,22 @@ class Measured:
         return not self.refused
 
     @property
+    def one_step(self) -> float:
+        """Error of one step: of the first, or of the only one if that goes all the way.
+
+        The first of many is so short that a network's errors hardly count in it.
+        """
+        return max(self.errors[0], self.at_once)
+
+    @property
     def growth(self) -> float:
-        """Error after the last step over that after the first."""
-        return self.errors[-1] / max(self.errors[0], UNIT_ROUNDOFF)
+        """Error after the last step over that of one."""
+        return self.errors[-1] / self.one_step
 
 
-def trajectory(
-    case: LoopCase, inputs: LoopInputs, predict: Predict, steps: int | None = None
-) -> list[FloatArray]:
+def trajectory(case: LoopCase, inputs: LoopInputs, predict: Predict) -> list[FloatArray]:
     """Latents of both branches after each step."""
-    schedule = Schedule.trailing(SCHEDULE, steps or case.steps)
+    schedule = Schedule.trailing(SCHEDULE, case.steps)
     run = shadow_guided(
         predict,
         inputs,
@@ -112,23 +122,29 @@ def relative_change(actual: FloatArray, expected: FloatArray) -> float:
     return float(np.linalg.norm(apart) / (np.linalg.norm(wanted) or 1.0))
 
 
+def in_float64(case: LoopCase) -> list[FloatArray]:
+    """What a case is measured against."""
+    return trajectory(case, case.inputs(np.float64), SmallDenoiser(case.condition()))
+
+
 def measure(case: LoopCase, precision: Precision, exact: Sequence[FloatArray]) -> Measured:
-    """Run a case and its nudged twin in a precision.
+    """Run a case, its nudged twin and the case in one step, in a precision.
 
     Parameters
     ----------
     case : LoopCase
     precision : str
     exact : sequence of ndarray
-        The latents in float64.
+        `in_float64` of the case.
     """
     network = SmallDenoiser(case.condition(), precision)
-    inputs = case.inputs(network.dtype)
+    inputs, short = case.inputs(network.dtype), replace(case, steps=1)
     try:
         latents = trajectory(case, inputs, network)
         moved = trajectory(case, nudged(inputs), network)
+        at_once = trajectory(short, short.inputs(network.dtype), network)
     except NumericalError as error:
-        return Measured(case.name, precision, str(error), (), ())
+        return Measured(case.name, precision, str(error), (), (), 0.0)
     start, moved_start = inputs.initial_noise, nudged(inputs).initial_noise
     given = relative_change(moved_start, start) or NUDGE
     return Measured(
@@ -137,6 +153,7 @@ def measure(case: LoopCase, precision: Precision, exact: Sequence[FloatArray]) -
         refused="",
         errors=tuple(relative_change(a, b) for a, b in zip(latents, exact)),
         sensitivities=tuple(relative_change(a, b) / given for a, b in zip(moved, latents)),
+        at_once=relative_change(at_once[0], in_float64(short)[0]),
     )
 
 
@@ -148,6 +165,6 @@ def measure_all(
     """Measure cases in precisions, one by one."""
     for case in cases:
         report(case.name)
-        exact = trajectory(case, case.inputs(np.float64), SmallDenoiser(case.condition()))
+        exact = in_float64(case)
         for precision in precisions:
             yield measure(case, precision, exact)

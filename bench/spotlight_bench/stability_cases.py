@@ -185,6 +185,7 @@ LOOP_CASES: Final[tuple[LoopCase, ...]] = (
     LoopCase(
         "shadow of one pixel",
         "downsampled to a quarter, binarised to a whole latent, all of it edge",
+        object_mask="column",
         shadow="pixel",
     ),
     LoopCase(

@@ -23,7 +23,7 @@ NOTHING: Final = "–"
 def loop_table(measured: Sequence[Measured]) -> str:
     """One row a case: float32 in full, the other precisions by their last step."""
     head = (
-        "| case | fp32: first step | last step | growth | sensitivity "
+        "| case | fp32: one step | last step | growth | sensitivity "
         "| fp16: last step | sensitivity | int8: last step | sensitivity |"
     )
     lines = [head, "|---|" + "---:|" * 8]
@@ -31,7 +31,7 @@ def loop_table(measured: Sequence[Measured]) -> str:
         full = of["fp32"]
         cells = [NOTHING] * 4
         if full.finite:
-            cells = [_error(full.errors[0]), _error(full.errors[-1]), f"{full.growth:.1f}"]
+            cells = [_error(full.one_step), _error(full.errors[-1]), f"{full.growth:.1f}"]
             cells.append(_number(full.sensitivities[-1]))
         for precision in REDUCED[1:]:
             one = of[precision]
@@ -81,8 +81,8 @@ def plot(measured: Sequence[Measured], path: Path) -> None:
     left.loglog(steps_shown, bound, color="0.6", lw=3.0, alpha=0.5, label="2u√k")
     left.set(xlabel="step", ylabel="relative error of the latents")
     left.set_title("Errors against float64, step by step", loc="left", fontsize=10)
-    left.legend(fontsize=7, frameon=False, ncols=2, loc="upper left", bbox_to_anchor=(0.0, 0.93))
-    left.set_ylim(top=30.0)
+    left.legend(fontsize=7, frameon=False, ncols=2, loc="upper left", bbox_to_anchor=(0.0, 1.0))
+    left.set_ylim(top=100.0)
     for precision, colour in COLOURS.items():
         found = [(i, of[precision]) for i, of in enumerate(cases.values()) if of[precision].finite]
         errors = [one.errors[-1] for _, one in found]

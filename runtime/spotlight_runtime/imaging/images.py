@@ -231,10 +231,16 @@ def _check_exr_header(path: Path) -> None:
 
 
 def _encode(suffix: str, pixels: npt.NDArray[Any], options: list[int], path: Path) -> bytes:
+    problem = "the encoder failed"
     try:
         done, buffer = cv2.imencode(suffix, pixels, options)
-    except cv2.error:
-        done = False
+    except cv2.error as error:
+        done, problem = False, error.err
+    if not done and suffix == ".hdr" and pixels.ndim == 3 and pixels.shape[2] == 3:
+        # OpenCV makes these in a file of its own in the temporary folder.
+        raise ImageFileError(
+            f"{path}: cannot be written: {problem}; is the temporary folder full or read-only?"
+        )
     if not done:
         raise InvalidInputError(f"{path}: {suffix} cannot hold an image of shape {pixels.shape}")
     return bytes(buffer)

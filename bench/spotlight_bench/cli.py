@@ -34,13 +34,14 @@ def main() -> None:
         sys.exit(
             f"spotlight-bench: {', '.join(missing)} missing; pip install 'spotlight-relight[bench]'"
         )
+    from spotlight_bench.budgets import budgets
     from spotlight_bench.combinations_command import combinations
     from spotlight_bench.evaluate_command import evaluate
     from spotlight_bench.pareto_command import pareto
     from spotlight_bench.peers_command import peers
     from spotlight_bench.stability_command import stability
 
-    for command in (evaluate, combinations, pareto, peers, stability):
+    for command in (evaluate, combinations, pareto, budgets, peers, stability):
         app.command()(command)
     try:
         app()

@@ -16,6 +16,8 @@ OTHER: Final = "#9467bd"
 FRONT: Final = "#b0303a"
 NAMED: Final = ("balanced", "draft")
 SIZE: Final = (9.0, 5.5)
+ROOM: Final = 0.7
+"""Of the shortest time: where the axis begins, so that the draft's name has room."""
 DOTS: Final = 140
 """Per inch of the PNG."""
 
@@ -46,7 +48,7 @@ def plot(found: Sequence[Point], rungs: Sequence[Point], files: Sequence[Path], 
     on_front = sorted((p for p in savings if p.front), key=lambda point: point.cost)
     axes.plot(
         [100 * p.cost for p in on_front], [p.fidelity for p in on_front],
-        color=FRONT, linewidth=1.6, zorder=3, label="Pareto front",
+        color=FRONT, linewidth=1.6, drawstyle="steps-post", zorder=3, label="Pareto front",
     )  # fmt: skip
     for point in (p for p in rungs if p.rung in NAMED):
         place = (100 * point.cost, point.fidelity)
@@ -56,6 +58,7 @@ def plot(found: Sequence[Point], rungs: Sequence[Point], files: Sequence[Path], 
             textcoords="offset points", color=FRONT, ha="right", fontsize=9, zorder=5,
         )  # fmt: skip
     axes.set_xscale("log")
+    axes.set_xlim(left=ROOM * 100 * min((point.cost for point in savings), default=1.0))
     ticks = [tick for tick in (5, 7, 10, 15, 25, 40, 60, 100) if _within(tick, savings)]
     axes.set_xticks(ticks)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} %"))

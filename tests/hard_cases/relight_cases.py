@@ -221,6 +221,25 @@ CASES = [
     ),
     *(
         _case(
+            f"relight by a light at {', '.join(f'{k} {v}' for k, v in place.items())}",
+            "an end of where a light may be, or of its size",
+            lambda place=place: relit(
+                with_depth_and_mesh("constant"),
+                Light(**({"azimuth": 135, "elevation": 50} | place)),
+            ),
+        )
+        for place in (
+            {"elevation": 90},
+            {"elevation": 1e-6},
+            {"azimuth": 1e18},
+            {"distance": 1e9},
+            {"distance": None, "radius": 60},
+            {"radius": 0},
+            {"radius": 1e-300},
+        )
+    ),
+    *(
+        _case(
             f"relight at {', '.join(f'{k} {v}' for k, v in options.items())}",
             "an end of what options allow",
             lambda options=options: relit(make_scene(*SIZE), **options),
@@ -300,6 +319,22 @@ REFUSALS = [
             (np.nan, NonFiniteError, "shadow: 1 of 6144 values are NaN or infinite"),
             (np.inf, NonFiniteError, "shadow: 1 of 6144 values are NaN or infinite"),
             (2.0, InvalidInputError, r"shadow: expected values in \[0, 1\]"),
+        )
+    ),
+    *(
+        Refusal(
+            f"light of {name} {value}",
+            "its square is no float32, and it is as good as infinitely far",
+            partial(Light, **(place | {name: value})),
+            InvalidInputError,
+            f"{name}: expected a finite number .* got {number}",
+        )
+        for place, name, value, number in (
+            ({"azimuth": 0.0, "elevation": 45.0}, "distance", 1e30, r"1e\+30"),
+            ({"azimuth": 0.0, "elevation": 45.0}, "distance", np.inf, "inf"),
+            ({"azimuth": 0.0, "elevation": 45.0}, "radius", 1e300, r"1e\+300"),
+            ({}, "position", (0.0, 0.0, 1e30), r"1e\+30"),
+            ({}, "position", (np.nan, 0.0, 1.0), "nan"),
         )
     ),
     *(

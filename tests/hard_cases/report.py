@@ -19,6 +19,7 @@ ROOMS = {
     "map_cases": "shading quotient, depth alignment, compositing of maps",
     "picture_cases": "transfer curves, ratio images, colour balance, object light, light mixing",
     "precision_cases": "half and int8",
+    "estimator_cases": "maps estimated from photographs",
     "relight_cases": "whole relights with a tiny backbone",
 }
 
@@ -34,9 +35,7 @@ def catalogue() -> str:
         cases, refusals = module.CASES, getattr(module, "REFUSALS", [])
         worst, hardest = max((compare(case), case.name) for case in cases if not case.full)
         assert worst <= 1.0, f"{hardest} is beyond its tolerance"
-        lines.append(
-            f"| {ROOMS[name]} | {len(cases)} | {len(refusals)} | {hardest}: {worst:.0%} |"
-        )
+        lines.append(f"| {ROOMS[name]} | {len(cases)} | {len(refusals)} | {hardest}: {worst:.0%} |")
     return "\n".join(lines)
 
 

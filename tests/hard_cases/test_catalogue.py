@@ -6,10 +6,26 @@ from itertools import chain
 
 import pytest
 
-from . import latent_cases, loop_cases, map_cases, picture_cases, precision_cases, relight_cases
+from . import (
+    estimator_cases,
+    latent_cases,
+    loop_cases,
+    map_cases,
+    picture_cases,
+    precision_cases,
+    relight_cases,
+)
 from .case import Case, Refusal, compare
 
-REGISTRIES = (loop_cases, latent_cases, map_cases, picture_cases, precision_cases, relight_cases)
+REGISTRIES = (
+    loop_cases,
+    latent_cases,
+    map_cases,
+    picture_cases,
+    precision_cases,
+    estimator_cases,
+    relight_cases,
+)
 CASES: list[Case] = list(chain.from_iterable(module.CASES for module in REGISTRIES))
 REFUSALS: list[Refusal] = list(
     chain.from_iterable(getattr(module, "REFUSALS", ()) for module in REGISTRIES)

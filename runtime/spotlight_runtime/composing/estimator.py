@@ -36,6 +36,8 @@ SMOOTHNESS: Final = np.float32(1e-3)
 """Variance of the guide below which the filter sees no edge."""
 DARKEST: Final = np.float32(1e-3)
 """Linear light and albedo below which their quotient says nothing."""
+BRIGHTEST: Final = np.float32(1e30)
+"""Linear light beyond which that quotient may leave float32."""
 NEAREST: Final = 1e-3
 """Least depth, in the network's units."""
 DETAIL_SIDE: Final = 1024
@@ -91,10 +93,11 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
         "give them instead (--albedo, --normal, --depth)",
     )
     planes = maps[0].transpose(1, 2, 0)
-    length = np.linalg.norm(planes[..., 3:6], axis=2, keepdims=True)
+    # Squares of what a network may say are no float32.
+    length = np.linalg.norm(planes[..., 3:6].astype(np.float64), axis=2, keepdims=True)
     return Intrinsics(
         albedo=np.clip(planes[..., :3], 0.0, 1.0),
-        normal=planes[..., 3:6] / np.maximum(length, TINY),
+        normal=(planes[..., 3:6] / np.maximum(length, TINY)).astype(np.float32),
         depth=np.maximum(planes[..., 6], np.float32(NEAREST)),
     )
 
@@ -103,7 +106,7 @@ def _albedo(small: Intrinsics, photograph: Photograph) -> FloatArray:
     """Divide the photograph by its enlarged shading."""
     radiance = photograph.radiance
     picture = resized(radiance, small.albedo.shape[:2])
-    shading = np.maximum(picture, DARKEST) / np.maximum(small.albedo, DARKEST)
+    shading = np.clip(picture, DARKEST, BRIGHTEST) / np.maximum(small.albedo, DARKEST)
     enlarged = follow_picture(np.log(shading), picture, radiance)
     albedo = np.empty_like(radiance)
 

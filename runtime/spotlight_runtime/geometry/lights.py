@@ -13,6 +13,9 @@ __all__ = ["Light", "Vector"]
 
 Vector = tuple[float, float, float]
 
+FARTHEST: Final = 1e9
+"""Object sizes, or metres of a position: what lies farther is as good as infinitely far, and the
+squares of its coordinates leave float32."""
 _MOST_ANGULAR_RADIUS: Final = 60.0
 """Degrees; a wider directional light is a sky, which casts no shadow to guide by."""
 
@@ -37,7 +40,8 @@ class Light:
         directional light (``distance`` None) degrees, half the angle under which the light is
         seen (the sun's is 0.27).
     distance : float, optional
-        Object sizes from the middle of the object; None for a light infinitely far away.
+        Object sizes from the middle of the object, up to 1e9; None for a light infinitely far
+        away.
     position : (x, y, z), optional
         Instead of azimuth, elevation and distance, in the unit of the depth maps (metres). In the
         world frame from the middle of the object's base: right, away from the camera, up. In the
@@ -65,7 +69,7 @@ class Light:
 
     def __post_init__(self) -> None:
         self._check_place()
-        _check(self.radius, "radius", 0.0, math.inf)
+        _check(self.radius, "radius", 0.0, FARTHEST)
         if self.directional:
             _check(self.radius, "radius of a directional light", 0.0, _MOST_ANGULAR_RADIUS)
         if self.frame not in ("world", "camera"):
@@ -101,7 +105,7 @@ class Light:
             _check(self.azimuth, "azimuth", -math.inf, math.inf)
             _check(self.elevation, "elevation", -90.0, 90.0)
             if self.distance is not None:
-                _check(self.distance, "distance", 0.0, math.inf, open_below=True)
+                _check(self.distance, "distance", 0.0, FARTHEST, open_below=True)
             return
         if self.azimuth is not None or self.elevation is not None:
             raise InvalidInputError(
@@ -110,11 +114,11 @@ class Light:
         if len(self.position) != 3:
             raise InvalidInputError(f"position: expected x, y, z, got {self.position!r}")
         for value in self.position:
-            _check(value, "position", -math.inf, math.inf)
+            _check(value, "position", -FARTHEST, FARTHEST)
 
 
 def _check(value: float, name: str, low: float, high: float, open_below: bool = False) -> None:
     inside = math.isfinite(value) and low <= value <= high and not (open_below and value == low)
     if not inside:
-        bounds = f"above {low:g}" if open_below else f"from {low:g} to {high:g}"
+        bounds = f"above {low:g} and up to {high:g}" if open_below else f"from {low:g} to {high:g}"
         raise InvalidInputError(f"{name}: expected a finite number {bounds}, got {value}")

@@ -2,8 +2,9 @@
 VENV ?= .venv
 EDGE_VENV ?= .venv-edge
 BIN := $(VENV)/bin
+TESTSET ?= testset
 
-.PHONY: help setup demo test lint types unit edge test-full fuzz stability format clean
+.PHONY: help setup demo test lint types unit edge test-full fuzz stability pareto peers format clean
 
 help:           ## list the targets
 	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -41,6 +42,14 @@ edge:           ## build the wheel, install it without torch, run the runtime's 
 	$(EDGE_VENV)/bin/pip install --quiet --constraint constraints.txt dist/*.whl hypothesis onnx pytest
 	$(EDGE_VENV)/bin/python -c "import importlib.util as u; assert u.find_spec('torch') is None"
 	$(EDGE_VENV)/bin/python -P -m pytest tests/spec tests/runtime
+
+pareto: setup   ## what accuracy costs in time: curve, table, and the ladder that budgets climb
+	$(BIN)/spotlight-bench pareto $(TESTSET) -o pareto --json pareto/all.json --resume --ladder runtime/spotlight_runtime/planning/ladder.json
+
+peers: setup    ## against diffusers, OpenVINO and a plain export: an hour and a half, 16 GB of memory
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[peers]'
+	$(BIN)/spotlight-bench peers --size mini -o peers --json peers/all.json
+	$(BIN)/spotlight-bench peers --size full -o peers-full --json peers-full/all.json
 
 test-full: setup ## full-size export, verification and relight: half an hour, 16 GB of memory
 	$(BIN)/pytest -m full -s

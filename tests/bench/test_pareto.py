@@ -253,6 +253,13 @@ def test_a_stopped_run_goes_on_and_a_finished_one_makes_nothing(run, finished, t
 
     def scores(path):
         made = [json.loads(line) for line in path.read_text().splitlines()[1:]]
-        return {(r["scene"], r["direction"], r["method"]): r["scores"] for r in made}
+        return {
+            (r["scene"], r["direction"], r["method"], kind): found
+            for r in made
+            for kind, found in r["scores"].items()
+        }
 
-    assert scores(output / "results.jsonl") == scores(finished / "results.jsonl")
+    again, once = scores(output / "results.jsonl"), scores(finished / "results.jsonl")
+    assert set(again) == set(once)
+    for key, found in again.items():  # ST-LPIPS of another batch differs in the last bits
+        assert found == pytest.approx(once[key], rel=1e-4)

@@ -20,10 +20,10 @@ needs_openvino = pytest.mark.skipif(find_spec("openvino") is None, reason="needs
 def test_scene_has_two_shadows_beside_the_object():
     scene, guide = scene_of(64)
     assert scene.object_mask.sum() > 100
-    for shadow in (guide.shadow, guide.negative):
+    for shadow in (guide.positive, guide.negative):
         assert shadow.sum() > 50
         assert (shadow * scene.object_mask).max() == 0.0
-    np.testing.assert_array_equal(guide.shadow, guide.negative[:, ::-1])
+    np.testing.assert_array_equal(guide.positive, guide.negative[:, ::-1])
 
 
 @pytest.mark.parametrize(

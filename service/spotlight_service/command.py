@@ -6,6 +6,8 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Final
@@ -14,6 +16,9 @@ import typer
 
 from spotlight_runtime.errors import SpotLightError
 from spotlight_service.problems import ProblemError
+from spotlight_service.security.keys import KeyStore
+from spotlight_service.settings import Settings
+from spotlight_service.storage.database import Database
 
 __all__ = ["main"]
 
@@ -82,13 +87,16 @@ def add_key(
     data: Data = None,
 ) -> None:
     """Make a key and print it; it is not shown again."""
-    print(_key_store(data).create(name, scope or ("read", "write"), per_minute))
+    with _key_store(data) as store:
+        print(store.create(name, scope or ("read", "write"), per_minute))
 
 
 @keys.command("list")
 def list_keys(data: Data = None) -> None:
     """Names and scopes of all keys."""
-    for key in _key_store(data).listed():
+    with _key_store(data) as store:
+        listed = store.listed()
+    for key in listed:
         state = "revoked" if key["revoked"] else key["scopes"]
         print(f"{key['id']}  {key['name']}  {state}")
 
@@ -98,7 +106,9 @@ def revoke_key(
     key: Annotated[str, typer.Argument(help="Its id, as `list` shows it.")], data: Data = None
 ) -> None:
     """Make a key void at once."""
-    if not _key_store(data).revoke(key):
+    with _key_store(data) as store:
+        found = store.revoke(key)
+    if not found:
         print(f"spotlight-serve: {key}: expected the id of a key that is valid", file=sys.stderr)
         raise typer.Exit(1)
 
@@ -109,7 +119,6 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
     from spotlight_runtime.networks.models import resolve_model
     from spotlight_service.app import create_app
     from spotlight_service.logs import configure_logging
-    from spotlight_service.settings import Settings
 
     settings = Settings(**given)
     for model in settings.models:
@@ -154,13 +163,14 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
     server.run()
 
 
-def _key_store(data: Path | None) -> Any:
-    from spotlight_service.security.keys import KeyStore
-    from spotlight_service.settings import Settings
-    from spotlight_service.storage.database import Database
-
+@contextmanager
+def _key_store(data: Path | None) -> Iterator[KeyStore]:
     settings = Settings() if data is None else Settings(data=data)
-    return KeyStore(Database(settings.data / "service.db"))
+    database = Database(settings.data / "service.db")
+    try:
+        yield KeyStore(database)
+    finally:
+        database.close()
 
 
 def main() -> None:

@@ -29,13 +29,15 @@ class JsonFormatter(logging.Formatter):
         line.update({k: v for k, v in vars(record).items() if k not in _OWN})
         if record.exc_info:
             line["error"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str, ensure_ascii=False)
+        # In ASCII: characters that break lines elsewhere must not break them here.
+        return json.dumps(line, default=str)
 
 
 def configure_logging(level: int = logging.INFO) -> None:
-    """Send this package's and the server's logs to stderr."""
+    """Send this package's and the server's logs to stderr, and what libraries warn of."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
     for name in (_TOP, "uvicorn.error"):
         logger = logging.getLogger(name)
         logger.handlers, logger.propagate = [handler], False

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import threading
 import uuid
 from typing import Any, Final
@@ -33,6 +34,8 @@ LOOK_S: Final = 0.1
 CALM_S: Final = 10.0
 """Seconds of few jobs after which replicas are let go, and of many after which some are added."""
 NOTE_S: Final = 5.0
+TEMPORARY: Final = os.environ.get("RAY_TMPDIR") or "/tmp/ray"
+"""Sockets are in it, whose paths must be shorter than a data folder's may be."""
 PARTING_S: Final = 2.0
 """Seconds a replica has to finish at shutdown; what it does not finish is done again."""
 log = logging.getLogger(__name__)
@@ -110,13 +113,14 @@ class RayCrew:
 
     def _deploy(self) -> dict[str, DeploymentHandle]:
         if not ray.is_initialized():
-            # Arguments, not environment variables, so that it works in a container, too.
             ray.init(
                 address=self._address,
                 include_dashboard=False,
-                log_to_driver=True,
                 configure_logging=False,
+                runtime_env={"env_vars": {"PYTHONWARNINGS": "ignore"}},  # Ray's own, hundreds
+                _temp_dir=None if self._address else TEMPORARY,
             )
+        serve.start(proxy_location="Disabled")  # calls come through handles, none by HTTP
         settings = self._settings.model_dump(mode="json")
         scaling = AutoscalingConfig(
             min_replicas=self._least,

@@ -56,7 +56,8 @@ def drawing():
 @pytest.fixture(scope="session")
 def server(tmp_path_factory, models):
     data = tmp_path_factory.mktemp("service") / "data"
-    running = Server(data, models, "--model", "tiny", "--model", "broken").start()
+    names = [f"--model={name}" for name in ("tiny", "broken", "mini")]
+    running = Server(data, models, *names, requests_per_minute=1_000_000).start()
     yield running
     running.stop()
     log = running.log.read_text()

@@ -26,8 +26,10 @@ class Server:
         models: Path,
         *arguments: str,
         warnings: str = "error",
+        patience: float = PATIENCE_S,
         **settings: object,
     ) -> None:
+        self._patience = patience
         self.data, self.log = data, data.parent / f"{data.name}.log"
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -53,11 +55,15 @@ class Server:
                 stdout=log,
                 stderr=log,
             )
-        self.wait_for("/v2/health/ready" if ready else "/v2/health/live")
+        try:
+            self.wait_for("/v2/health/ready" if ready else "/v2/health/live")
+        except AssertionError:
+            self.stop()
+            raise
         return self
 
     def wait_for(self, path: str) -> None:
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + self._patience
         while time.monotonic() < until:
             assert self.process is not None
             if self.process.poll() is not None:
@@ -81,7 +87,7 @@ class Server:
         assert self.process is not None
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(PATIENCE_S)
+        return self.process.wait(self._patience)
 
     def client(self, key: str | None = None) -> Client:
         return Client(self.address, key)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import sqlite3
 import subprocess
 
 import httpx
 import pytest
 
 from spotlight_service.client import ServiceError
+from spotlight_service.problems import of_error
+from spotlight_service.storage.files import require_space
 
 from .servers import Server
 
@@ -74,13 +77,20 @@ def test_a_disk_that_runs_full_under_the_service(small_disk, models, bundle):
         server.stop()
 
 
-def test_space_is_left_free(tmp_path, models, bundle):
-    enough = 1 << 50
-    server = Server(tmp_path / "data", models, "--model", "tiny", min_free_bytes=enough).start()
-    try:
-        with server.client() as client:
-            refused(lambda: client.upload(bundle))
-            assert client.jobs() == []
-        assert list((server.data / "scenes").iterdir()) == []
-    finally:
-        server.stop()
+def test_space_is_left_free(tmp_path):
+    require_space(tmp_path, 1)
+    with pytest.raises(OSError, match="space") as caught:
+        require_space(tmp_path, 1 << 60)
+    problem = of_error(caught.value)
+    assert problem.status == 507
+    assert str(tmp_path) not in problem.detail
+
+
+def test_a_full_disk_is_known_by_whatever_name_it_comes(tmp_path):
+    connection = sqlite3.connect(tmp_path / "small.db")
+    connection.execute("PRAGMA max_page_count = 2")
+    with pytest.raises(sqlite3.OperationalError) as caught:
+        connection.execute("CREATE TABLE a AS SELECT zeroblob(100000)")
+    connection.close()
+    assert of_error(caught.value).status == 507
+    assert of_error(OSError(5, "input/output error")).status == 500

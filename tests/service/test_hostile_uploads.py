@@ -9,8 +9,10 @@ import time
 import httpx
 import pytest
 
+from spotlight_service.engine.studio import StudioDesk
 from spotlight_service.engine.uploads import check_picture
-from spotlight_service.problems import FieldError
+from spotlight_service.problems import FieldError, ProblemError
+from spotlight_service.settings import Settings
 
 from .hostile import CASES, JPEG, archive, cutout, picture
 from .servers import Server
@@ -20,7 +22,7 @@ from .servers import Server
 def guarded(tmp_path_factory, models):
     """A service with limits low enough to test."""
     limits = {
-        "max_unpacked_bytes": 100_000_000,
+        "max_unpacked_bytes": 20_000_000,
         "max_upload_bytes": 5_000_000,
         "max_json_bytes": 100_000,
         "max_pixels": 1_000_000,
@@ -123,15 +125,24 @@ def test_drawings_are_never_fetched(guarded, shadow, bundle):
         assert problem["errors"][0]["field"] == "lights[0].shadow"
 
 
-def test_a_studio_that_takes_too_long_is_replaced(tmp_path, models, bundle):
-    running = Server(tmp_path / "data", models, "--model", "tiny", studio_s=0.001).start()
+def test_a_studio_that_takes_too_long_is_replaced(tmp_path):
+    desk = StudioDesk(Settings(data=tmp_path, studio_s=0.05))
     try:
-        with bundle.open("rb") as file:
-            answer = httpx.post(f"{running.address}/v1/scenes", files={"bundle": file}, timeout=60)
-        refused(answer, 413, 503)
-        assert httpx.get(f"{running.address}/v2/health/ready").status_code == 200
+        with pytest.raises(ProblemError) as caught:
+            desk.ask("sample", name="goblet", draft_folder=str(tmp_path))
+        assert caught.value.status == 413
+        patient = StudioDesk(Settings(data=tmp_path))
+        patient.warm()
+        first = patient._child.process
+        first.kill()
+        first.wait()
+        answer, _ = patient.ask("sample", name="goblet", draft_folder=str(tmp_path))
+        assert answer["info"]["width"] == 256
+        patient.close()
+        with pytest.raises(ProblemError, match="shutting down"):
+            patient.ask("sample", name="goblet", draft_folder=str(tmp_path))
     finally:
-        running.stop()
+        desk.close()
 
 
 def test_large_pictures_are_not_taken_for_archives_by_chance():

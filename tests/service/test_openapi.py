@@ -29,17 +29,6 @@ CHECKS = (
 FEW, MANY = 6, 150
 
 
-@pytest.fixture(scope="module")
-def roomy(tmp_path_factory, models):
-    """A service that takes as many requests as a fuzzer makes."""
-    data = tmp_path_factory.mktemp("roomy") / "data"
-    limits = {"requests_per_minute": 1_000_000, "deadline_s": 5, "longest_wait_s": 1}
-    running = Server(data, models, "--model", "tiny", **limits).start()
-    yield running
-    running.stop()
-    assert "Traceback" not in running.log.read_text()
-
-
 def fuzzed(server: Server, examples: int, seed: int) -> set[str]:
     """Send whatever the document allows, and what it does not; returns what was reached."""
     schema = schemathesis.openapi.from_url(f"{server.address}/openapi.json")
@@ -89,13 +78,13 @@ def check(server: Server, examples: int) -> None:
     assert len(reached) >= 15
 
 
-def test_nothing_undocumented_happens(roomy):
-    check(roomy, FEW)
+def test_nothing_undocumented_happens(server):
+    check(server, FEW)
 
 
 @pytest.mark.full
-def test_nothing_undocumented_happens_in_many_tries(roomy):
-    check(roomy, MANY)
+def test_nothing_undocumented_happens_in_many_tries(server):
+    check(server, MANY)
 
 
 def test_every_operation_says_what_it_does_and_how_it_fails(server):

@@ -43,6 +43,7 @@ def test_a_killed_replica_loses_nothing(tmp_path, models, bundle, monkeypatch):
         models,
         *("--model", "tiny", "--ray", "--replicas", "2"),
         warnings="default",
+        patience=180.0,
         lease_s=4,
     )
     server.start()

@@ -27,11 +27,13 @@ def test_the_same_scene_has_the_same_id_whoever_zips_it(client, bundle, scene):
 
 
 def test_a_relight_is_the_librarys_to_the_byte(client, scene, models, bundle):
-    job = client.wait(client.relight(scene, [LIGHT], model="tiny", seed=11))
+    job = client.wait(client.relight(scene, [LIGHT], model="tiny", seed=110_011))
     assert job.state == "done", job.facts["error"]
     relighter = Relighter.load(models / "tiny", threads=1)
     own = relighter.relight(
-        Scene.load(bundle), Light(azimuth=200.0, elevation=40.0), options=RelightOptions(seed=11)
+        Scene.load(bundle),
+        Light(azimuth=200.0, elevation=40.0),
+        options=RelightOptions(seed=110_011),
     )
     assert client.result(job) == encode_png(own.image)
     report = client.report(job)

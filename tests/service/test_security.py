@@ -9,8 +9,10 @@ import sys
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
 from spotlight_service.client import ServiceError
+from spotlight_service.command import app as command
 from spotlight_service.problems import ProblemError
 from spotlight_service.security.keys import KeyStore
 from spotlight_service.security.rates import RateLimiter
@@ -122,17 +124,16 @@ def test_revoked_keys_are_void_at_once(locked):
     key = made_by_command(server.data, "add", "guest", "--scope", "read").stdout.strip()
     headers = {"Authorization": f"Bearer {key}"}
     assert httpx.get(f"{server.address}/v1/jobs", headers=headers).status_code == 200
-    assert made_by_command(server.data, "revoke", key.split("_")[1]).returncode == 0
+    assert made_by_command(server.data, "revoke", key.split("_")[1]).exit_code == 0
     assert httpx.get(f"{server.address}/v1/jobs", headers=headers).status_code == 401
     assert "guest  revoked" in made_by_command(server.data, "list").stdout
     again = made_by_command(server.data, "revoke", "nobody")
-    assert again.returncode == 1
+    assert again.exit_code == 1
     assert "expected the id of a key" in again.stderr
 
 
 def made_by_command(data, *arguments):
-    command = [sys.executable, "-m", "spotlight_service", "keys", *arguments, "--data", str(data)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return CliRunner().invoke(command, ["keys", *arguments, "--data", str(data)])
 
 
 def test_no_secret_is_stored(locked):
@@ -146,9 +147,9 @@ def test_no_secret_is_stored(locked):
 
 
 def test_beyond_this_machine_keys_are_needed(tmp_path, models):
-    command = [sys.executable, "-m", "spotlight_service", "--host", "0.0.0.0", "--port", "0"]
+    started = [sys.executable, "-m", "spotlight_service", "--host", "0.0.0.0", "--port", "0"]
     done = subprocess.run(
-        [*command, "--data", str(tmp_path / "data")],
+        [*started, "--data", str(tmp_path / "data")],
         capture_output=True,
         text=True,
         check=False,

@@ -101,7 +101,7 @@ async def _problem(request: Request, error: Exception) -> Response:
         problem = _of_http(error)
     else:
         problem = of_error(error)
-    if problem.status == 500:
+    if problem.status == 500 and not isinstance(error, ProblemError):  # that one told already
         log.error("failed", exc_info=error, extra={"request": request.state.request})
     document = {**problem.document(), "request": request.state.request}
     return JSONResponse(document, problem.status, problem.headers, MEDIA_TYPE)

@@ -16,6 +16,7 @@ from spotlight_service.storage.workers import WorkerBook
 
 __all__ = ["Metrics"]
 
+_METHODS: Final = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
 _REQUEST_S: Final = (0.005, 0.02, 0.1, 0.5, 2.0, 10.0, 60.0)
 _STAGE_S: Final = (0.01, 0.05, 0.2, 1.0, 5.0, 20.0, 100.0, 500.0)
 
@@ -67,7 +68,8 @@ class Metrics:
 
     def answered(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count an answer."""
-        self._requests.labels(method, route, str(status)).observe(seconds)
+        known = method if method in _METHODS else "other"  # strangers make up any number of them
+        self._requests.labels(known, route, str(status)).observe(seconds)
 
     def streaming(self, change: int) -> None:
         """Count an event stream that opens (1) or closes (-1)."""

@@ -128,6 +128,9 @@ def test_metrics_count_what_was_done(server, client, scene):
     again = client.wait(client.relight(scene, [{**LIGHT, "azimuth": 90}], model="tiny", seed=31))
     assert client.report(again)["evaluations"] < report["evaluations"], "its plain pass was known"
     assert value('spotlight_plain_pass_reused_total{model="tiny"}') >= 1
+    for method in ("MADEUP1", "MADEUP2"):
+        httpx.request(method, f"{server.address}/v1/models")
+    assert "MADEUP" not in httpx.get(f"{server.address}/metrics").text
 
 
 def test_the_pages_python_runs(server, tmp_path):

@@ -95,6 +95,19 @@ def test_a_deadline_ends_a_job(client, scene):
     assert job.facts["error"]["status"] == 504
 
 
+def test_who_waits_for_a_job_that_fails_is_told_why(server, scene):
+    body = {"scene": scene.id, "lights": [LIGHT], "model": "tiny"}
+    waiting = {"headers": {"Prefer": "wait=30"}, "timeout": 60}
+    for changes, status in (
+        ({"steps": LONG, "deadline_s": 0.3}, 504),
+        ({"model": "broken"}, 500),
+        ({"budget_s": 1e-6}, 422),
+    ):
+        answer = httpx.post(f"{server.address}/v1/relight", json={**body, **changes}, **waiting)
+        assert answer.status_code == status, answer.text
+        assert answer.headers["content-type"] == "application/problem+json"
+
+
 def test_a_client_that_leaves_while_it_waits_cancels_its_job(server, client, scene):
     body = {"scene": scene.id, "lights": [LIGHT], "model": "tiny", "steps": LONG, "seed": 987}
     request = httpx.Request(

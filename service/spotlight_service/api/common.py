@@ -35,6 +35,7 @@ _WHY: Final = {
     429: "Too many requests, or the queue is full; see Retry-After.",
     500: "The service's own fault; the log has it under the request's id.",
     503: "Shutting down, starting, or too busy; see Retry-After.",
+    504: "The job was not done by its deadline.",
     507: "The disk is full.",
 }
 _EVERYWHERE: Final = (400, 401, 403, 404, 408, 413, 421, 422, 429, 500, 503)

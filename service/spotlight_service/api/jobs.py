@@ -58,7 +58,7 @@ _WATCH_S: Final = 4.0
     "/relight",
     status_code=202,
     response_model=JobView,
-    responses={**problems(406, 415, 507), **PICTURE},
+    responses={**problems(406, 415, 504, 507), **PICTURE},
     summary="Relight a scene",
 )
 async def relight(
@@ -92,7 +92,7 @@ async def relight(
             return await _picture(service, job, suffix, headers)
         if job.state == "failed" and job.error is not None:
             error = job.error
-            status = error["status"] if error["status"] in (422, 507) else 500
+            status = error["status"] if error["status"] in (413, 422, 504, 507) else 500
             raise ProblemError(status, error["detail"], error["errors"], headers)
     headers["Location"] = f"/v1/jobs/{job.id}"
     view = job_view(job, service.jobs).model_dump(mode="json")

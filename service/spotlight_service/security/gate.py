@@ -39,6 +39,8 @@ HEADERS: Final = {
     "permissions-policy": "camera=(), geolocation=(), microphone=(), payment=(), usb=()",
 }
 _REQUEST_ID: Final = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_LOGGED: Final = 300
+"""Characters of a path that the log repeats."""
 _UPLOADS: Final = "/v1/scenes"
 _HOST: Final = re.compile(r"(?P<name>\[[0-9a-fA-F:]+\]|[^:]*)(:\d+)?")
 Counted = Callable[[str, str, int, float], None]
@@ -103,8 +105,8 @@ class Gate:
             self._counted(scope["method"], route, status, seconds)
             log.info(
                 "%s %s",
-                scope["method"],
-                scope["path"],
+                scope["method"][:_LOGGED],
+                scope["path"][:_LOGGED],
                 extra={
                     "request": request,
                     "status": status,

@@ -83,6 +83,14 @@ def with_mask(name: str, size: tuple[int, int] = SIZE) -> Scene:
     return replace(make_scene(*size), object_mask=mask, object_maps=maps, footprint_depth=None)
 
 
+def with_mask_beside_its_range(hair: float) -> Scene:
+    """Coverage that is a hair below 0 where there is no object, and above 1 inside it."""
+    scene = make_scene(*SIZE)
+    mask = scene.object_mask
+    beside = np.where(mask == 0.0, -hair, np.where(mask == 1.0, 1.0 + hair, mask))
+    return replace(scene, object_mask=beside.astype(np.float32))
+
+
 def with_background(value: str, size: tuple[int, int]) -> Scene:
     scene = make_scene(*size)
     image = np.zeros_like(scene.background)
@@ -166,6 +174,17 @@ CASES = [
         )
         for mask in ("empty", "full", "pixel", "column", "soft", "border", "checker", "denormal")
         for detail, window in (("renderer", "auto"), ("maps", "auto"), ("maps", "tight"))
+    ),
+    *(
+        _case(
+            f"relight of a mask {hair:g} beside its range, detail of the {detail}",
+            "filters leave as much, and the photograph shows through 1 − α",
+            lambda hair=hair, detail=detail: relit(
+                with_mask_beside_its_range(hair), detail=detail, window="tight"
+            ),
+        )
+        for hair in (1e-8, 9e-4)
+        for detail in DETAILS
     ),
     *(
         _case(

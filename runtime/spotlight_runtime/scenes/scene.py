@@ -108,6 +108,9 @@ class Scene:
         size = self.size
         check_array(self.background, "background", size, 3, (0.0, np.inf))
         check_array(self.object_mask, "object_mask", size, None, (0.0, 1.0))
+        if self.object_mask.min() < 0.0 or self.object_mask.max() > 1.0:
+            # By a hair, as filters leave it; then no pixel would be wholly the photograph's.
+            object.__setattr__(self, "object_mask", np.clip(self.object_mask, 0.0, 1.0))
         self.background_maps.check(size, "background")
         self.object_maps.check(size, "object")
         if self.footprint_depth is not None:

@@ -28,6 +28,19 @@ from spotlight_service.submission import request_digest
 __all__ = ["Tally", "load", "main"]
 
 POLL_S: Final = 0.5
+PROBE: Final = """
+import http.client, json, sys, time
+host, path, until = sys.argv[1], sys.argv[2], time.monotonic() + float(sys.argv[3])
+connection, took = http.client.HTTPConnection(host, timeout=60), []
+while time.monotonic() < until:
+    began = time.perf_counter()
+    connection.request("GET", path)
+    connection.getresponse().read()
+    took.append(time.perf_counter() - began)
+    time.sleep(0.05)
+print(json.dumps(took))
+"""
+"""Looks at a job from a process of its own: the crowd is one process, and busy with itself."""
 LONGEST_PAUSE_S: Final = 5.0
 """Clients that are told to come back much later come back sooner than that: it is a load test."""
 CANCELLED, LEFT, WATCHED = 0.1, 0.05, 0.3
@@ -47,7 +60,7 @@ class Tally:
     wrong : list of str
         What must not happen.
     looks : list of float
-        Seconds of every ``GET /v1/jobs/{id}``.
+        Seconds of ``GET /v1/jobs/{id}``, twenty times a second.
     pictures : dict
         SHA-256 of the picture by request.
     memory : list of float
@@ -128,11 +141,18 @@ async def load(
     limits = httpx.Limits(max_connections=clients + 50, max_keepalive_connections=clients)
     async with httpx.AsyncClient(base_url=address, timeout=120.0, limits=limits) as http:
         watching = asyncio.create_task(_memory(http, tally))
+        first = (await http.post("/v1/relight", json=bodies[0])).json()["id"]
+        where = (address.removeprefix("http://"), f"/v1/jobs/{first}", str(seconds))
+        probe = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-c", PROBE, *where), stdout=asyncio.subprocess.PIPE
+        )
         crowd = [
             asyncio.create_task(_client(http, tally, bodies, until, random.Random(seed * 7919 + i)))
             for i in range(clients)
         ]
         await asyncio.gather(*crowd)
+        told, _ = await probe.communicate()
+        tally.looks = json.loads(told)
         watching.cancel()
     return tally
 
@@ -188,9 +208,7 @@ async def _one(
             async for _ in events.aiter_lines():
                 pass
     while True:
-        began = time.perf_counter()
         look = await http.get(f"/v1/jobs/{job}")
-        tally.looks.append(time.perf_counter() - began)
         _unexpected(tally, "GET /v1/jobs", look)
         state = look.json().get("state")
         if state in ("done", "cancelled", "failed"):

@@ -48,6 +48,10 @@ Irradiance is nearly linear in the normal (the first spherical harmonics; Ramamo
 EVERYWHERE: Final = 1e-8
 """Weight of all the picture's light; smaller than any square's."""
 
+GREY: Final = 0.1
+"""Albedo that grey light is believed with: what is nearly black says little of the light's colour.
+Without it dark wooden floors made objects teal."""
+
 NOTHING_KNOWN: Final = (1e-10, 0.5)
 """Weight and amount of the light that is assumed where no light at all is known."""
 
@@ -250,15 +254,20 @@ def surrounding_light(linear: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
     -------
     Tensor, shape (B, 3, H, W)
     """
-    seen, white = (functional.avg_pool2d(x * known, PATCH) for x in (linear, albedo))
     weight, light = NOTHING_KNOWN
-    sums = []
-    for x, prior in ((seen, weight * light), (white, weight)):
+
+    def around(x: Tensor, prior: float) -> Tensor:
+        x = functional.avg_pool2d(x * known, PATCH)
         total = EVERYWHERE * x.mean(dim=(2, 3), keepdim=True) + prior
         for side, share in SURROUNDINGS:
             total = total + share * functional.avg_pool2d(x, side, 1, side // 2)
-        sums.append(total)
-    return functional.interpolate(sums[0] / sums[1], scale_factor=PATCH, mode="bilinear")
+        return total
+
+    seen, white = around(linear, weight * light), around(albedo, weight)
+    believed = GREY * around(known, 0.0)
+    grey = seen.mean(dim=1, keepdim=True) / white.mean(dim=1, keepdim=True)
+    coarse = (seen + believed * grey) / (white + believed)
+    return functional.interpolate(coarse, scale_factor=PATCH, mode="bilinear")
 
 
 class Denoiser(nn.Module):

@@ -13,9 +13,7 @@ __all__ = ["combinations"]
 
 
 def combinations(
-    inputs: Annotated[
-        Path, typer.Argument(help="Folder of real inputs: hdr/, models/, photos/.")
-    ],
+    inputs: Annotated[Path, typer.Argument(help="Folder of real inputs: hdr/, models/, photos/.")],
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for scenes, pictures and sheet.png.")
     ] = Path("combinations"),

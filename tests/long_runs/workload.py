@@ -64,6 +64,8 @@ def main(relights: int, cancelled: int) -> dict[str, object]:
         if i % 2:
             run.close()
         del run  # or just let go of
+        if i % COLLECT == 0:
+            gc.collect()
         held[i] = resident_bytes()
     after = _holdings()
     return {

@@ -1,0 +1,325 @@
+// The page: who tells whom. Each part knows its own job; this file knows them all.
+
+import * as api from "./api.js";
+import { Dome } from "./dome.js";
+import { History } from "./history.js";
+import { Latest } from "./latest.js";
+import { Lights } from "./lights.js";
+import { Painter } from "./painter.js";
+import { Run } from "./relight.js";
+import { SceneDesk, offerSamples } from "./scene.js";
+import { Settings } from "./settings.js";
+import * as store from "./store.js";
+import { byId, display, element, onRadio, radio, save, seconds, setRadio, slider, tell, toast } from "./ui.js";
+import { Viewer } from "./viewer.js";
+
+const QUICK_SIDE = 256; // pixels of a sketch while a light is dragged
+const FINE_SIDE = 768; // … and once it is let go
+const LOOK_AGAIN_MS = 2500; // at what the service says of itself, while it starts
+const LOOKS = 60;
+const SUFFIXES = { "image/png": "png", "image/jpeg": "jpg", "image/webp": "webp", "image/x-exr": "exr" };
+const DIRECTIONS = 8;
+
+const state = { scene: null, composed: false, result: null, started: false };
+
+const viewer = new Viewer();
+const lights = new Lights(lightsChanged);
+const settings = new Settings(predict);
+const dome = new Dome(byId("dome"), (...moved) => lights.move(...moved), (index) => lights.choose(index));
+const painter = new Painter(byId("brush"), byId("brush-ring"), () => lightsChanged(true));
+const desk = new SceneDesk({ entered, photo: showPhoto });
+const history = new History((job) => open(job).catch(tell));
+const run = new Run(viewer, { changed: (job) => history.put(job), done: finished, turned: predict });
+const sketches = new Latest(sketch, tell);
+
+// --- the scene ---------------------------------------------------------------------------------
+
+async function entered(scene, composed) {
+  const other = state.scene?.id !== scene.id;
+  Object.assign(state, { scene, composed });
+  if (other) state.result = null;
+  store.remember("scene", scene.id);
+  byId("desk").dataset.scene = "there";
+  byId("where").textContent = `${scene.name || "Scene"} · ${scene.width} × ${scene.height}`;
+  for (const [id, hidden] of Object.entries({
+    empty: true, asking: true, picture: false, "stage-bar": false, "new-scene": false, "scene-group": false,
+  })) byId(id).hidden = hidden;
+  byId("asks").disabled = false;
+  viewer.hideSketch();
+  viewer.shape(scene.width, scene.height);
+  dome.stand(scene);
+  if (other) lights.enter(scene);
+  document.querySelector('input[name="view"][value="place"]').parentElement.hidden = !composed;
+  show(composed && radio("view") === "place" ? "place" : "light");
+  const blob = await api.scenePicture(scene.id).catch(tell);
+  if (blob && state.scene === scene) await viewer.showBase(blob, "The scene under a plain light");
+  lightsChanged(true);
+}
+
+/** A photograph that waits for its object, or for being put together. */
+async function showPhoto(file, complete) {
+  byId("empty").hidden = true;
+  byId("desk").dataset.scene = "photo";
+  byId("new-scene").hidden = false;
+  byId("scene-group").hidden = false;
+  byId("asking").hidden = complete || state.scene !== null;
+  if (state.scene !== null) return;
+  setRadio("view", "place");
+  await display(viewer.base, file);
+  const { naturalWidth: width, naturalHeight: height } = viewer.base;
+  viewer.base.alt = "The photograph";
+  byId("picture").hidden = !width; // some formats only the service can show
+  if (width) viewer.shape(width, height);
+  viewer.mode("photo");
+}
+
+function startOver() {
+  run.leave();
+  sketches.drop();
+  desk.forget();
+  Object.assign(state, { scene: null, composed: false, result: null });
+  store.remember("scene", null);
+  store.remember("job", null);
+  for (const id of ["picture", "stage-bar", "asking", "new-scene", "scene-group", "takeaway"]) byId(id).hidden = true;
+  byId("empty").hidden = false;
+  byId("desk").dataset.scene = "none";
+  byId("where").textContent = "";
+  byId("stage-hint").textContent = "";
+  byId("asks").disabled = true;
+  history.mark(null);
+  predict();
+}
+
+// --- lights and their sketch -------------------------------------------------------------------
+
+/** `settled`: null if only another light was chosen, else whether the hand has let go. */
+function lightsChanged(settled) {
+  dome.show(lights.list, lights.chosen);
+  store.remember("lights", lights.list.map(({ sheet, ...light }) => light));
+  if (radio("view") !== "place") show(settled === null && radio("view") === "result" ? "result" : "light");
+  predict();
+  if (settled !== null && state.scene) sketches.ask(settled);
+}
+
+async function sketch(settled, signal) {
+  const { scene } = state;
+  const wanted = await lights.request();
+  if (!scene) return;
+  if (!wanted.length) {
+    viewer.hideSketch();
+    viewer.notice("");
+    return;
+  }
+  const started = performance.now();
+  const { blob, notice } = await api.sketch(scene.id, wanted, settled ? FINE_SIDE : QUICK_SIDE, signal);
+  byId("picture").dataset.sketchMs = Math.round(performance.now() - started);
+  if (state.scene !== scene) return;
+  await viewer.showSketch(blob);
+  viewer.notice(notice);
+}
+
+function bindPainter() {
+  const size = slider({ label: "Size", min: 1, max: 40, step: 1, value: 8, unit: "%", changed: (v) => { painter.size = v / 100; } });
+  const soft = slider({ label: "Softness", min: 0, max: 100, step: 1, value: 40, unit: "%", changed: (v) => { painter.softness = v / 100; } });
+  byId("brush-rows").append(size.row, soft.row);
+  onRadio("tool", (tool) => { painter.erases = tool === "eraser"; });
+  byId("brush").addEventListener("pointerdown", () => byId("picture").classList.add("painting"));
+  byId("brush").addEventListener("eraser", () => {
+    painter.erases = !painter.erases;
+    setRadio("tool", painter.erases ? "eraser" : "brush");
+  });
+  byId("undo").addEventListener("click", () => painter.undo());
+  byId("clear").addEventListener("click", () => painter.clear());
+}
+
+// --- what the stage shows ----------------------------------------------------------------------
+
+const HINTS = {
+  place: "Click the floor where the object stands. Arrow keys move it, too.",
+  light: "Drag the light over the dome, past its edge to go round behind. Arrow keys work, too.",
+  paint: "Paint where the shadow falls. Paint over the object's foot, so that the shadow begins there.",
+  result: "Drag the divider to compare.",
+};
+
+function show(view) {
+  setRadio("view", view);
+  const drawn = lights.light.kind === "drawn";
+  const mode = view === "light" && drawn ? "paint" : view;
+  if (state.scene && (view !== "result" || !state.result || viewer.compares)) viewer.shape(state.scene.width, state.scene.height);
+  if (mode === "paint" && state.scene) painter.open(lights.light.sheet);
+  viewer.mode(mode, { hasResult: state.result !== null, casts: state.scene?.casts });
+  const input = document.querySelector('input[name="view"][value="result"]');
+  input.disabled = state.result === null;
+  byId("takeaway").hidden = view !== "result" || state.result === null;
+  byId("stage-hint").textContent = view === "result" && !viewer.compares ? "" : HINTS[mode] || "";
+}
+
+async function open(job) {
+  if (state.scene?.id !== job.scene) {
+    try {
+      await desk.again(job.scene);
+    } catch {
+      toast("The scene of this picture is no longer kept. The picture itself is.", "note");
+    }
+  }
+  lights.restore(job.request.lights);
+  settings.restore(job.request);
+  history.mark(job.id);
+  store.remember("job", job.id);
+  if (job.state === "done") {
+    sketches.ask(true);
+    await finished(job);
+  } else {
+    lightsChanged(true);
+    await run.watch(job);
+  }
+}
+
+async function finished(job) {
+  const blob = await api.result(job.id).catch(tell);
+  if (!blob) return;
+  const compares = !job.request.sweep && state.scene?.id === job.scene;
+  state.result = job;
+  byId("picture").hidden = false;
+  byId("stage-bar").hidden = false;
+  byId("empty").hidden = true;
+  await viewer.showResult(blob, { told: job.request.sweep ? "Contact sheet of all directions" : "The relit picture", compares });
+  history.mark(job.id);
+  store.remember("job", job.id);
+  dome.show(lights.list, lights.chosen);
+  show("result");
+}
+
+// --- asking for pictures -----------------------------------------------------------------------
+
+function swept() {
+  const { azimuth, sheet, kind, ...light } = lights.light;
+  const request = { elevation: light.elevation, radius: light.radius, distance: light.distance };
+  return Array.from({ length: DIRECTIONS }, (_, i) => ({ ...request, azimuth: (i * 360) / DIRECTIONS }));
+}
+
+async function ask(sweep) {
+  const asked = sweep ? swept() : await lights.request();
+  if (!sweep && lights.blank) return toast("Paint a shadow first: it says where the light is.", "note");
+  show("light");
+  byId("picture").classList.remove("painting");
+  return run.start({ scene: state.scene.id, lights: asked, sweep, ...settings.request() });
+}
+
+function predict() {
+  const free = state.scene !== null && !document.body.classList.contains("running");
+  byId("relight").disabled = !free;
+  byId("sweep").disabled = !free || lights.light.kind !== "placed";
+  const about = settings.predicted(lights.list.length);
+  byId("relight-seconds").textContent = about === null ? "" : `about ${seconds(about)}`;
+  const sweep = settings.predicted(DIRECTIONS);
+  byId("sweep").title = `One sheet with the light at eight azimuths${sweep === null ? "" : `, about ${seconds(sweep)}`}`;
+}
+
+async function download() {
+  const kind = byId("format").value;
+  try {
+    save(await api.result(state.result.id, kind), `spotlight-${state.result.id.slice(0, 8)}.${SUFFIXES[kind]}`);
+  } catch (error) {
+    tell(error);
+  }
+}
+
+async function downloadReport() {
+  try {
+    const text = JSON.stringify(await api.report(state.result.id), null, 2);
+    save(new Blob([text], { type: "application/json" }), `spotlight-${state.result.id.slice(0, 8)}.json`);
+  } catch (error) {
+    tell(error);
+  }
+}
+
+// --- the frame ---------------------------------------------------------------------------------
+
+function bindDrops() {
+  let depth = 0;
+  const veil = byId("veil");
+  const files = (event) => event.dataTransfer?.types.includes("Files");
+  window.addEventListener("dragenter", (event) => { if (files(event)) { depth++; veil.hidden = false; } });
+  window.addEventListener("dragleave", (event) => { if (files(event) && --depth <= 0) veil.hidden = true; });
+  window.addEventListener("dragover", (event) => { if (files(event)) event.preventDefault(); });
+  window.addEventListener("drop", (event) => {
+    if (!files(event)) return;
+    event.preventDefault();
+    depth = 0;
+    veil.hidden = true;
+    desk.take([...event.dataTransfer.files]);
+  });
+}
+
+function bindTheme() {
+  setRadio("theme", document.documentElement.dataset.theme || "auto");
+  onRadio("theme", (theme) => {
+    if (theme === "auto") delete document.documentElement.dataset.theme;
+    else document.documentElement.dataset.theme = theme;
+    localStorage.setItem("spotlight-theme", theme);
+  });
+}
+
+function bindKey() {
+  const dialog = byId("key-dialog");
+  let asking = null;
+  api.onKeyNeeded(() => {
+    asking ??= new Promise((resolve) => {
+      dialog.showModal();
+      dialog.addEventListener("close", () => {
+        asking = null;
+        resolve(dialog.returnValue ? byId("key").value.trim() : null);
+        byId("key").value = "";
+      }, { once: true });
+    });
+    return asking;
+  });
+  byId("key-use").addEventListener("click", () => dialog.close("use"));
+  byId("key").addEventListener("keydown", (event) => { if (event.key === "Enter") dialog.close("use"); });
+}
+
+/** Follow the service until it is ready and has measured what plans take. */
+async function follow() {
+  let told;
+  for (let look = 0; look < LOOKS; look++) {
+    const [capable, ready] = await Promise.all([api.capabilities().catch(tell), api.ready()]);
+    byId("health").textContent = ready ? "" : "The model is loading…";
+    if (capable) {
+      if (!told) offerSamples(capable.samples, (name) => desk.sample(name));
+      told = capable;
+      lights.most = capable.limits.lights;
+      settings.offer(Object.values(capable.plans)[0] || []);
+      if (ready && settings.measured) return;
+    }
+    await new Promise((resolve) => setTimeout(resolve, LOOK_AGAIN_MS));
+  }
+}
+
+async function resume() {
+  const jobs = await history.load();
+  const live = jobs.find((job) => ["running", "queued"].includes(job.state));
+  const last = live || jobs.find((job) => job.id === store.recall("job") && job.state === "done");
+  const scene = store.recall("scene");
+  try {
+    if (last && (live || last.scene === scene)) await open(last);
+    else if (scene) await desk.again(scene);
+  } catch (error) {
+    if (error.status !== 404) tell(error);
+    startOver();
+  }
+}
+
+onRadio("view", show);
+byId("relight").addEventListener("click", () => ask(false));
+byId("sweep").addEventListener("click", () => ask(true));
+byId("download").addEventListener("click", download);
+byId("download-report").addEventListener("click", downloadReport);
+byId("new-scene").addEventListener("click", startOver);
+bindPainter();
+bindDrops();
+bindTheme();
+bindKey();
+predict();
+follow();
+resume();

@@ -1,0 +1,105 @@
+// The canvas in the middle: which layers show, how large, and the before/after divider.
+
+import { byId, display } from "./ui.js";
+
+const MOST_ENLARGED = 3; // times; small samples would turn to mush
+const DIVIDER_START = 50; // percent
+
+export class Viewer {
+  constructor() {
+    this.frame = byId("frame");
+    this.picture = byId("picture");
+    this.base = byId("base");
+    this.sketch = byId("sketch");
+    this.after = byId("after");
+    this.forming = byId("forming");
+    this.divider = byId("divider");
+    this.size = [1, 1];
+    new ResizeObserver(() => this.fit()).observe(this.frame);
+    this.divider.addEventListener("input", () => this.divide());
+  }
+
+  /** Take the proportions of a picture of so many pixels. */
+  shape(width, height) {
+    this.size = [width, height];
+    this.fit();
+  }
+
+  fit() {
+    const [width, height] = this.size;
+    const style = getComputedStyle(this.frame);
+    const pads = [style.paddingLeft, style.paddingRight, style.paddingTop, style.paddingBottom].map(parseFloat);
+    const room = [this.frame.clientWidth - pads[0] - pads[1], this.frame.clientHeight - pads[2] - pads[3]];
+    const factor = Math.max(0, Math.min(room[0] / width, room[1] / height, MOST_ENLARGED));
+    this.picture.style.width = `${Math.floor(width * factor)}px`;
+    this.picture.style.height = `${Math.floor(height * factor)}px`;
+  }
+
+  async showBase(blob, told) {
+    await display(this.base, blob);
+    this.base.alt = told;
+  }
+
+  async showSketch(blob) {
+    await display(this.sketch, blob);
+    this.sketch.hidden = false;
+    this.picture.classList.remove("painting");
+  }
+
+  hideSketch() {
+    this.sketch.hidden = true;
+  }
+
+  /** A finished picture; beside the scene's it can be compared, a contact sheet cannot. */
+  async showResult(blob, { told, compares }) {
+    await display(this.after, blob);
+    this.after.alt = told;
+    this.compares = compares;
+    if (!compares) this.shape(this.after.naturalWidth, this.after.naturalHeight);
+    this.divider.value = DIVIDER_START;
+    this.divide();
+  }
+
+  /** The picture as it forms; `window` says which part of it that is, if not all. */
+  showForming(url, window) {
+    const [left, top, right, bottom] = window || [0, 0, 1, 1];
+    this.forming.classList.toggle("inset", window === null);
+    const box = window === null ? ["", "", "", ""] : [left, top, right - left, bottom - top].map((v) => `${v * 100}%`);
+    [this.forming.style.left, this.forming.style.top, this.forming.style.width, this.forming.style.height] = box;
+    this.forming.src = url;
+    this.forming.hidden = false;
+  }
+
+  hideForming() {
+    this.forming.hidden = true;
+    this.forming.removeAttribute("src");
+  }
+
+  /** Show what belongs to a view: "place", "light", "paint" or "result". */
+  mode(name, { hasResult = false, casts = true } = {}) {
+    const result = name === "result" && hasResult;
+    this.picture.dataset.mode = name;
+    byId("dome").hidden = name !== "light" || !casts;
+    byId("brush").hidden = name !== "paint";
+    byId("brush-ring").hidden = true;
+    byId("spot").hidden = name !== "place";
+    this.after.hidden = !result;
+    byId("compare").hidden = !result || !this.compares;
+    this.picture.classList.toggle("sheet", result && !this.compares);
+    this.divide();
+  }
+
+  divide() {
+    const share = this.compares ? this.divider.value : 0;
+    this.after.style.clipPath = this.compares ? `inset(0 0 0 ${share}%)` : "none";
+    byId("knob").style.left = `${share}%`;
+    this.divider.setAttribute("aria-valuetext", `${Math.round(share)} percent before`);
+    byId("compare").classList.toggle("edge-left", share < 12);
+    byId("compare").classList.toggle("edge-right", share > 88);
+  }
+
+  notice(text) {
+    byId("notice").textContent = text || "";
+    byId("notice").hidden = !text;
+  }
+}

@@ -29,7 +29,9 @@ EXPORT = """
 """
 
 
+@pytest.mark.full
 def test_killed_in_mid_export(tmp_path):
+    """Tracing takes a minute of processor time; the other tests kill what renames, in seconds."""
     checkpoint = write_tiny_checkpoint(tmp_path / "checkpoint")
     out = tmp_path / "models/tiny"
     arguments = [str(checkpoint.base), str(checkpoint.controlnet), str(out)]

@@ -15,6 +15,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import spotlight_runtime
+import spotlight_spec
 from fuzz.targets import REFUSALS, Target
 from spotlight_runtime.composing import gltf, product
 from spotlight_runtime.imaging import headers
@@ -29,7 +31,19 @@ TRIANGLES = 100_000
 """Likewise, of models."""
 MOST_MEMORY = 512 << 20
 """Bytes above what the imports take: a picture of `PICTURE_PIXELS` as floats, thirty times over."""
-_SYSTEM = (sys.prefix, sys.base_prefix, "/usr", "/lib", "/proc", "/sys", "/dev/", "/etc/")
+_PACKAGES = tuple(str(Path(p.__file__).parent) for p in (spotlight_runtime, spotlight_spec))
+"""Whose modules may be imported on first use."""
+_SYSTEM = (
+    *_PACKAGES,
+    sys.prefix,
+    sys.base_prefix,
+    "/usr",
+    "/lib",
+    "/proc",
+    "/sys",
+    "/dev/",
+    "/etc/",
+)
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _CHANGES = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.symlink", "os.link", "os.chmod"}
 _NEVER = {"socket.connect", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"}

@@ -60,8 +60,12 @@ def prepared(
 
 
 def plan_report(task: Task) -> dict[str, Any]:
-    """What will be run, and why."""
-    return task.plan.report()
+    """What will be run, and why; and the window: left, top, right, bottom in fractions."""
+    window = task.prepared.window
+    height, width = window.frame
+    corners = (window.left, window.top, window.left + window.width, window.top + window.height)
+    shares = [round(at / of, 5) for at, of in zip(corners, (width, height) * 2)]
+    return {**task.plan.report(), "window": shares}
 
 
 def evaluations_of(task: Task) -> int:

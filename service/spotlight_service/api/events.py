@@ -70,7 +70,12 @@ def _look(service: Service, job: Job) -> ServerSentEvent | None:
     except OSError:  # it has ended in the meantime, and its files are gone
         return None
     image = "data:image/jpeg;base64," + base64.b64encode(data).decode()
-    told = {"number": job.preview, "step": (job.progress or {}).get("step"), "image": image}
+    told = {
+        "number": job.preview,
+        "step": (job.progress or {}).get("step"),
+        "window": (job.plan or {}).get("window"),
+        "image": image,
+    }
     return ServerSentEvent(_json(told), event="preview", id=str(job.revision))
 
 

@@ -221,6 +221,22 @@ def test_size_among_the_comments_of_a_radiance_file_says_nothing(tmp_path):
         read_image(tmp_path / "bomb.hdr")
 
 
+def test_png_chunk_that_claims_gigabytes(tmp_path):
+    """Found by fuzzing: a hundred bytes that OpenCV allocated three and a half gigabytes for."""
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", 4, 2, 8, 0, 0, 0, 0)), (b"tEXt", b"a\0b")]
+    data = seeds.png(chunks)
+    claim = data.index(b"tEXt") - 4
+    (tmp_path / "a.png").write_bytes(data[:claim] + b"\xd8\xff\xff\xff" + data[claim + 4 :])
+    refused_by_its_header(tmp_path / "a.png", r"a\.png: expected a whole image file, got a trunc")
+
+
+def test_png_with_something_after_its_end_is_read(tmp_path):
+    write_image(tmp_path / "a.png", np.full((4, 4, 3), 0.5, np.float32))
+    with (tmp_path / "a.png").open("ab") as file:
+        file.write(b"appended by some camera")
+    assert read_image(tmp_path / "a.png").shape == (4, 4, 3)
+
+
 def refused_by_its_header(path, match):
     def read():
         with pytest.raises(ImageFileError, match=match):

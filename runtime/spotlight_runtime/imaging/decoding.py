@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,8 @@ __all__ = ["decode_pixels", "read_bytes", "swap_red_blue"]
 
 
 _JPEG_SIGNATURE: Final = b"\xff\xd8\xff"
-_SIGNATURES: Final = (b"\x89PNG\r\n\x1a\n", _JPEG_SIGNATURE, b"RIFF", b"#?")
+_PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+_SIGNATURES: Final = (_PNG_SIGNATURE, _JPEG_SIGNATURE, b"RIFF", b"#?")
 
 
 def read_bytes(path: Path) -> bytes:
@@ -68,6 +70,8 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     if not data.startswith(_SIGNATURES):
         raise ImageFileError(f"{path}: expected a PNG, JPEG, WebP or Radiance HDR file")
     check_header(data, str(path))
+    if data.startswith(_PNG_SIGNATURE):
+        _check_chunks(data, path)
     if data.startswith(_JPEG_SIGNATURE):
         # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
         if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
@@ -82,6 +86,23 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     if pixels is None:
         raise ImageFileError(f"{path}: expected a whole image file, got {len(data)} other bytes")
     return swap_red_blue(pixels)
+
+
+def _check_chunks(data: bytes, path: str | Path) -> None:
+    """Raise unless a PNG's chunks are as long as they say.
+
+    OpenCV allocates what a chunk claims, up to four gigabytes, before it looks whether it is there.
+    """
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        position += 12 + length
+        if kind == b"IEND" and position <= len(data):
+            return
+    raise ImageFileError(
+        f"{path}: expected a whole image file, got a truncated PNG of {len(data)} bytes; "
+        "export or download it again"
+    )
 
 
 def swap_red_blue(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:

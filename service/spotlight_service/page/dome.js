@@ -10,7 +10,8 @@ export const HIGHEST = 89;
 const STEP = 2; // degrees an arrow key moves a light
 const STRIDE = 15; // … with shift, or by page up and down
 const POINTS = 72; // of a ring
-const BEYOND = 0.12; // of the picture, that the dome may reach beyond it
+const BEYOND = 0.01; // of the picture, that the dome may reach beyond it
+const LEAST = 0.16; // of the picture's shorter side: a smaller dome is hard to grasp
 const ROOMY = 1.12; // times the object's height that the dome is high at least
 
 export class Dome {
@@ -49,7 +50,8 @@ export class Dome {
     for (let radius = holds; radius > 0.02; radius *= 0.97) {
       const zenith = this.place(0, 90, radius);
       const foot = this.camera.project(this.centre)[1];
-      if (foot - zenith[1] < ROOMY * (foot - top) || radius * this.camera.fx < (right - left) / 2) break;
+      const small = radius * Math.max(this.camera.fx, this.camera.fy) < LEAST;
+      if (small || foot - zenith[1] < ROOMY * (foot - top) || radius * this.camera.fx < (right - left) / 2) break;
       holds = radius;
       const inside = this.ring(0, radius).every((p) => p && p.every(within)) && zenith[1] > 0.04;
       if (inside) break;
@@ -67,9 +69,9 @@ export class Dome {
       this.place((i * 360) / POINTS, elevation, radius));
   }
 
-  /** Whether a light is on the side towards the viewer. */
+  /** Whether a light is on the side that a viewer sees of a solid dome. */
   inFront(light) {
-    return dot(direction(this.frame, light.azimuth, light.elevation), this.centre) < 0;
+    return dot(direction(this.frame, light.azimuth, light.elevation), this.centre) < -this.radius;
   }
 
   show(lights, selected) {
@@ -103,15 +105,18 @@ export class Dome {
     this.line("beam", [at(this.place(azimuth, elevation)), middle]);
   }
 
-  /** The dome's outline: the circle square to the view, above the floor. */
+  /** The dome's outline: where rays from the camera touch it, above the floor. */
   outline() {
     const view = unit(this.centre);
     const level = unit(cross(view, this.frame.up));
     const top = cross(level, view);
     const points = [];
+    const near = scaled(view, -this.radius); // the centre is one unit away
+    const wide = Math.sqrt(1 - this.radius * this.radius);
     for (let i = 0; i <= POINTS; i++) {
       const turn = (i / POINTS) * 2 * Math.PI - Math.PI / 2;
-      const towards = add(scaled(level, Math.cos(turn)), scaled(top, Math.sin(turn)));
+      const across = add(scaled(level, Math.cos(turn)), scaled(top, Math.sin(turn)));
+      const towards = add(near, scaled(across, wide));
       if (dot(towards, this.frame.up) < 0) continue;
       points.push(this.camera.project(add(this.centre, scaled(towards, this.radius))));
     }

@@ -3,7 +3,7 @@
 import * as api from "./api.js";
 import * as store from "./store.js";
 import { side } from "./dome.js";
-import { byId, display, element, seconds, tell } from "./ui.js";
+import { NOTHING, byId, display, element, seconds, tell } from "./ui.js";
 
 const SHOWN = 40;
 const THUMB = 176; // pixels of the longer side
@@ -54,7 +54,7 @@ export class History {
   }
 
   item(id) {
-    const image = element("img", { alt: "", className: "thumb" });
+    const image = element("img", { alt: "", className: "thumb", src: NOTHING });
     const told = element("span", { className: "told" });
     const detail = element("span", { className: "hint" });
     const text = element("span", { className: "text" }, told, detail);

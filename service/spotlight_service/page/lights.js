@@ -70,6 +70,12 @@ export class Lights {
     this.refresh();
   }
 
+  /** Placed lights in the way `restore` takes them. */
+  entries() {
+    const placed = this.list.filter((light) => light.kind === "placed");
+    return placed.map(({ sheet, ...light }) => ({ ...light, colour: linearOf(light.colour) }));
+  }
+
   /** As requests have them; drawings not begun are left out. */
   async request() {
     const made = await Promise.all(this.list.map(async (light) => {

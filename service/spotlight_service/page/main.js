@@ -40,7 +40,7 @@ async function entered(scene, composed) {
   if (other) state.result = null;
   store.remember("scene", scene.id);
   byId("desk").dataset.scene = "there";
-  byId("where").textContent = `${scene.name || "Scene"} · ${scene.width} × ${scene.height}`;
+  byId("where").textContent = `${desk.title} · ${scene.width} × ${scene.height}`;
   for (const [id, hidden] of Object.entries({
     empty: true, asking: true, picture: false, "stage-bar": false, "new-scene": false, "scene-group": false,
   })) byId(id).hidden = hidden;
@@ -58,6 +58,7 @@ async function entered(scene, composed) {
 
 /** A photograph that waits for its object, or for being put together. */
 async function showPhoto(file, complete) {
+  if (!complete && state.scene) clear();
   byId("empty").hidden = true;
   byId("desk").dataset.scene = "photo";
   byId("new-scene").hidden = false;
@@ -71,12 +72,17 @@ async function showPhoto(file, complete) {
   byId("picture").hidden = !width; // some formats only the service can show
   if (width) viewer.shape(width, height);
   viewer.mode("photo");
+  byId("stage-hint").textContent = HINTS.place;
 }
 
 function startOver() {
+  desk.forget();
+  clear();
+}
+
+function clear() {
   run.leave();
   sketches.drop();
-  desk.forget();
   Object.assign(state, { scene: null, composed: false, result: null });
   store.remember("scene", null);
   store.remember("job", null);
@@ -94,9 +100,9 @@ function startOver() {
 
 /** `settled`: null if only another light was chosen, else whether the hand has let go. */
 function lightsChanged(settled) {
-  dome.show(lights.list, lights.chosen);
-  store.remember("lights", lights.list.map(({ sheet, ...light }) => light));
   if (radio("view") !== "place") show(settled === null && radio("view") === "result" ? "result" : "light");
+  dome.show(lights.list, lights.chosen);
+  if (settled) store.remember("lights", lights.entries());
   predict();
   if (settled !== null && state.scene) sketches.ask(settled);
 }
@@ -303,7 +309,10 @@ async function resume() {
   const scene = store.recall("scene");
   try {
     if (last && (live || last.scene === scene)) await open(last);
-    else if (scene) await desk.again(scene);
+    else if (scene) {
+      lights.restore(store.recall("lights", []));
+      await desk.again(scene);
+    }
   } catch (error) {
     if (error.status !== 404) tell(error);
     startOver();

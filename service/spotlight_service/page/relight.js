@@ -3,6 +3,7 @@
 import * as api from "./api.js";
 import { byId, seconds, tell, toast } from "./ui.js";
 
+const WHOLE = [0, 0, 1, 1];
 const AGAIN_MS = 1500; // after a stream broke off
 
 export class Run {
@@ -75,7 +76,7 @@ export class Run {
   /** Take in an event; whether it was the last. */
   took(kind, data) {
     if (kind === "progress") this.progress(data);
-    else if (kind === "preview") this.viewer.showForming(data.image, this.window(data));
+    else if (kind === "preview") this.viewer.showForming(data.image, data.window || WHOLE);
     else if (kind === "state") {
       this.job = data;
       this.told(data);
@@ -89,13 +90,6 @@ export class Run {
       return true;
     }
     return false;
-  }
-
-  /** The part of the picture that is diffused; null where it is not known. */
-  window(data) {
-    if (data.window) return data.window;
-    const effect = this.job?.plan?.effects?.find((each) => each.name === "window");
-    return effect?.on || this.job?.request.sweep ? null : [0, 0, 1, 1];
   }
 
   told(job) {

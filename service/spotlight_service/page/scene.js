@@ -4,9 +4,10 @@ import * as api from "./api.js";
 import { clamped } from "./geometry.js";
 import { Latest } from "./latest.js";
 import * as store from "./store.js";
-import { byId, element, slider, tell, toast } from "./ui.js";
+import { NOTHING, byId, element, slider, tell, toast } from "./ui.js";
 
 const PICTURES = ".png,.jpg,.jpeg,.webp,.exr,.hdr";
+const PHOTOS = [".jpg", ".jpeg", ".hdr", ".exr"]; // which are never cut-outs
 const MODELS = ".glb,.gltf,.obj";
 const ACCEPTS = { photo: `${PICTURES},.zip`, object: `${MODELS},.png,.webp,.jpg,.jpeg,.exr`, mask: PICTURES };
 const START = { at: [0.5, 0.8], yaw: 0, size: "", fov: "", horizon: "", camera_height: "", occlusion: false };
@@ -37,13 +38,13 @@ export class SceneDesk {
       if (suffix === ".zip") return this.bundle(file);
       if (MODELS.split(",").includes(suffix)) this.files.object = file;
       else if (wanted) this.files[wanted] = file;
-      else if (!this.files.photo) this.files.photo = file;
+      else if (!this.files.photo || (this.files.object && PHOTOS.includes(suffix))) this.files.photo = file;
       else this.files.object = file;
     }
     if (this.files.photo) this.then.photo(this.files.photo, Boolean(this.files.object));
     else if (this.files.object) toast(`${this.files.object.name} is here. Now drop the photograph it is for.`, "note");
     this.showSlots();
-    if (this.files.photo && this.files.object) this.composing.ask(null);
+    this.putIn();
     return undefined;
   }
 
@@ -96,6 +97,12 @@ export class SceneDesk {
     this.showSlots();
   }
 
+  /** What a person calls the scene. */
+  get title() {
+    const { photo, object } = this.files;
+    return this.composed ? `${object.name} in ${photo.name}` : this.scene.name || "Scene";
+  }
+
   enter(scene, composed) {
     this.scene = scene;
     this.composed = composed;
@@ -118,7 +125,7 @@ export class SceneDesk {
   build() {
     const soon = () => {
       clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.composing.ask(null), PAUSE_MS);
+      this.timer = setTimeout(() => this.putIn(), PAUSE_MS);
     };
     this.yaw = slider({
       label: "Turn", min: -180, max: 180, step: 1, value: 0, unit: "°",
@@ -149,10 +156,16 @@ export class SceneDesk {
   }
 
   clicked(event) {
-    if (event.detail === 0) return this.composing.ask(null); // Enter or Space
-    const box = byId("spot").getBoundingClientRect();
-    this.stand([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
-    return this.composing.ask(null);
+    if (event.detail !== 0) { // not by Enter or Space
+      const box = byId("spot").getBoundingClientRect();
+      this.stand([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
+    }
+    this.putIn();
+  }
+
+  /** Compose, once there is something to compose. */
+  putIn() {
+    if (this.files.photo && this.files.object) this.composing.ask(null);
   }
 
   keyed(event, soon) {
@@ -201,7 +214,7 @@ export class SceneDesk {
 /** Cards of the scenes that come along, with pictures as they come. */
 export async function offerSamples(names, opened) {
   const cards = names.map((name) => {
-    const image = element("img", { alt: "", width: 160, height: 160 });
+    const image = element("img", { alt: "", width: 160, height: 160, src: NOTHING });
     const title = name[0].toUpperCase() + name.slice(1);
     const button = element("button", { type: "button", className: "sample" }, image, element("span", {}, title));
     button.addEventListener("click", () => opened(name));

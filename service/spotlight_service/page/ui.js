@@ -2,6 +2,9 @@
 
 export const byId = (id) => document.getElementById(id);
 
+/** What an <img> shows while it has nothing to show. */
+export const NOTHING = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg'/%3E";
+
 /** An element with properties and children. */
 export function element(tag, properties = {}, ...children) {
   const made = Object.assign(document.createElement(tag), properties);

@@ -60,12 +60,12 @@ export class Viewer {
     this.divide();
   }
 
-  /** The picture as it forms; `window` says which part of it that is, if not all. */
-  showForming(url, window) {
-    const [left, top, right, bottom] = window || [0, 0, 1, 1];
-    this.forming.classList.toggle("inset", window === null);
-    const box = window === null ? ["", "", "", ""] : [left, top, right - left, bottom - top].map((v) => `${v * 100}%`);
-    [this.forming.style.left, this.forming.style.top, this.forming.style.width, this.forming.style.height] = box;
+  /** The picture as it forms, in the window that is diffused. */
+  showForming(url, [left, top, right, bottom]) {
+    const percent = (share) => `${share * 100}%`;
+    Object.assign(this.forming.style, {
+      left: percent(left), top: percent(top), width: percent(right - left), height: percent(bottom - top),
+    });
     this.forming.src = url;
     this.forming.hidden = false;
   }
@@ -82,7 +82,7 @@ export class Viewer {
     byId("dome").hidden = name !== "light" || !casts;
     byId("brush").hidden = name !== "paint";
     byId("brush-ring").hidden = true;
-    byId("spot").hidden = name !== "place";
+    byId("spot").hidden = name !== "place" && name !== "photo";
     this.after.hidden = !result;
     byId("compare").hidden = !result || !this.compares;
     this.picture.classList.toggle("sheet", result && !this.compares);

@@ -1,0 +1,208 @@
+"""From a photograph that is dropped to the picture that is taken away."""
+
+from __future__ import annotations
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from service.hostile import cutout, picture
+
+from spotlight_runtime import read_image
+
+from .conftest import drop, relit, sketched, take_sample
+
+CENTRE = """selector => {
+    const box = document.querySelector(selector).getBoundingClientRect();
+    return [box.x + box.width / 2, box.y + box.height / 2];
+}"""
+
+
+def value(page, label):
+    return float(page.get_by_label(label, exact=True).input_value())
+
+
+def test_drop_place_drag_relight_compare_download_reload(visit, client, tmp_path):
+    (tmp_path / "room.jpg").write_bytes(picture(".jpg", (96, 128)))
+    (tmp_path / "vase.png").write_bytes(cutout())
+    page = visit()
+
+    # Drop a photograph, then its object; it is put in where the floor was clicked before.
+    drop(page, tmp_path / "room.jpg")
+    page.get_by_role("heading", name="Now the object").wait_for()
+    spot = page.locator("#spot").bounding_box()
+    page.locator("#spot").click(position={"x": spot["width"] * 0.4, "y": spot["height"] * 0.5})
+    drop(page, tmp_path / "vase.png")
+    page.locator("#stage-bar").wait_for()
+    assert "vase.png in room.jpg" in page.locator("#where").inner_text()
+
+    # Place it: a click moves it, and the service has a scene with it there.
+    page.locator("#views").get_by_role("radio", name="Place").check()
+    spot = page.locator("#spot").bounding_box()
+    with page.expect_response(lambda answer: answer.url.endswith("/v1/scenes")) as composed:
+        page.locator("#spot").click(position={"x": spot["width"] * 0.6, "y": spot["height"] * 0.9})
+    left, _, right, bottom = composed.value.json()["object_box"]
+    assert left < 0.6 < right
+    assert bottom == pytest.approx(0.9, abs=0.06)
+
+    # Drag the light: sketches follow while it is held, and the numbers say where it is.
+    page.locator("#views").get_by_role("radio", name="Light").check()
+    page.locator("#sketch").wait_for()
+    before = value(page, "Azimuth"), value(page, "Elevation")
+    x, y = page.evaluate(CENTRE, ".lamp")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    sketched(page, lambda: page.mouse.move(x + 25, y + 30, steps=6))
+    sketched(page, page.mouse.up)
+    after = value(page, "Azimuth"), value(page, "Elevation")
+    assert abs(after[0] - before[0]) > 3 or abs(after[1] - before[1]) > 3
+    told = page.get_by_role("slider", name="Light", exact=True).get_attribute("aria-valuetext")
+    assert f"azimuth {after[0]:.0f}°, elevation {after[1]:.0f}°" in told
+
+    # Relight: seconds are told beforehand, the picture forms, and can be compared.
+    page.get_by_text("Draft", exact=True).click()
+    assert "about" in page.get_by_role("button", name="Relight").inner_text()
+    page.get_by_role("button", name="Relight").click()
+    page.locator("#forming").wait_for()
+    page.locator("#compare").wait_for()
+    divider = page.get_by_label("Share of the picture that shows before")
+    divider.focus()
+    clip = page.locator("#after").evaluate("image => image.style.clipPath")
+    page.keyboard.press("PageUp")
+    assert page.locator("#after").evaluate("image => image.style.clipPath") != clip
+
+    # Take it away: the very picture and report that the service has.
+    job = client.jobs()[0].facts
+    with page.expect_download() as picture_file:
+        page.get_by_role("button", name="Download picture").click()
+    assert picture_file.value.path().read_bytes() == client.result(job["id"])
+    with page.expect_download() as report_file:
+        page.get_by_role("button", name="Report").click()
+    assert json.loads(report_file.value.path().read_text())["plan"]["name"] == "draft"
+    asked = job["request"]["lights"][0]
+    assert (round(asked["azimuth"]), round(asked["elevation"])) == (
+        round(after[0]),
+        round(after[1]),
+    )
+
+    # Reload: the picture, its light and its files are still here.
+    page.reload()
+    page.locator("#compare").wait_for()
+    assert page.locator("#history li").count() == len(client.jobs())
+    assert value(page, "Azimuth") == pytest.approx(after[0], abs=0.51)
+    assert page.get_by_role("button", name="Replace the photo").is_visible()
+    assert page.locator("#history [aria-current=true]").count() == 1
+
+
+def test_scribble(visit, client, tmp_path):
+    page = visit()
+    take_sample(page, "Bench")
+    page.get_by_role("radio", name="Paint its shadow").check()
+    box = page.locator("#brush").bounding_box()
+
+    def at(x, y):
+        return box["x"] + box["width"] * x, box["y"] + box["height"] * y
+
+    def stroke(start, end):
+        page.mouse.move(*at(*start))
+        page.mouse.down()
+        page.mouse.move(*at(*end), steps=8)
+        page.mouse.up()
+
+    plain = shown(page, tmp_path, "#base")
+    sketched(page, lambda: stroke((0.3, 0.8), (0.7, 0.8)))
+    rows, columns = slice(196, 212), slice(90, 170)  # of the 256 that the sample has
+    assert (
+        shown(page, tmp_path, "#sketch")[rows, columns] < 0.8 * plain[rows, columns]
+    ).mean() > 0.9
+
+    page.get_by_role("radio", name="Eraser").check()
+    sketched(page, lambda: stroke((0.6, 0.8), (0.75, 0.8)))
+    assert (
+        np.abs(shown(page, tmp_path, "#sketch")[rows, 160:176] - plain[rows, 160:176]).max() < 0.03
+    )
+    sketched(page, lambda: page.get_by_role("button", name="Undo").click())
+    assert (
+        shown(page, tmp_path, "#sketch")[rows, columns] < 0.8 * plain[rows, columns]
+    ).mean() > 0.9
+
+    # By the keyboard, too.
+    page.locator("#brush").focus()
+    sketched(page, lambda: page.keyboard.press("Space"))
+
+    relit(page)
+    assert "shadow" in client.jobs()[0].facts["request"]["lights"][0]
+    assert "Painted shadow" in page.locator("#history li").first.inner_text()
+
+
+def shown(page, folder, selector):
+    """What an <img> shows, sRGB, at the picture's own size."""
+    url = page.evaluate(
+        """async selector => {
+            const image = document.querySelector(selector);
+            await image.decode();
+            const canvas = document.createElement("canvas");
+            [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+            canvas.getContext("2d").drawImage(image, 0, 0);
+            return canvas.toDataURL();
+        }""",
+        selector,
+    )
+    (folder / "shown.png").write_bytes(base64.b64decode(url.partition(",")[2]))
+    return read_image(folder / "shown.png")[..., :3]
+
+
+def test_cancel(visit, client):
+    page = visit()
+    take_sample(page)
+    page.get_by_text("Exact", exact=True).click()
+    page.get_by_role("button", name="Relight").click()
+    page.locator("#forming").wait_for()
+    page.get_by_role("button", name="Cancel").click()
+    page.locator("#run").wait_for(state="hidden")
+    assert client.jobs()[0].facts["state"] == "cancelled"
+    assert "Cancelled" in page.locator("#history li").first.inner_text()
+    assert page.get_by_role("button", name="Relight").is_enabled()
+
+
+def test_several_lights_of_a_scene(visit, client):
+    page = visit()
+    take_sample(page, "Berries")
+    sketched(page, lambda: page.get_by_role("button", name="Add a light").click())
+    assert page.locator(".lamp:visible").count() == 2
+    sketched(page, lambda: page.get_by_label("Colour", exact=True).fill("#ff8000"))
+    sketched(
+        page, lambda: page.get_by_label("Weight, number").fill("0.5") or page.keyboard.press("Tab")
+    )
+    relit(page)
+    first, second = client.jobs()[0].facts["request"]["lights"]
+    assert first["colour"] == [1.0, 1.0, 1.0]
+    assert second["weight"] == 0.5
+    assert second["colour"] == pytest.approx([1.0, 0.2159, 0.0], abs=1e-3)
+    assert second["azimuth"] == (first["azimuth"] + 120) % 360
+    page.get_by_role("button", name="Remove this light").click()
+    assert page.locator(".lamp:visible").count() == 1
+
+
+def test_refusals_are_told_as_the_service_put_them(visit, tmp_path):
+    (tmp_path / "notes.txt").write_text("no picture")
+    (tmp_path / "vase.png").write_bytes(cutout())
+    page = visit(expected=["Failed to load resource"])
+    drop(page, tmp_path / "notes.txt", tmp_path / "vase.png")
+    page.locator(".toast").wait_for()
+    assert "photo" in page.locator(".toast").first.inner_text()
+    assert page.get_by_role("button", name="Replace the photo").is_enabled()
+
+
+@pytest.mark.full
+def test_eight_directions(visit, client):
+    page = visit()
+    take_sample(page)
+    page.get_by_text("Draft", exact=True).click()
+    page.get_by_role("button", name="Eight directions").click()
+    page.locator("#takeaway").wait_for()
+    assert page.locator("#compare").is_hidden()
+    lights = client.jobs()[0].facts["request"]["lights"]
+    assert [light["azimuth"] for light in lights] == [i * 45.0 for i in range(8)]
+    assert "8 directions" in page.locator("#history li").first.inner_text()

@@ -230,6 +230,13 @@ def test_png_chunk_that_claims_gigabytes(tmp_path):
     refused_by_its_header(tmp_path / "a.png", r"a\.png: expected a whole image file, got a trunc")
 
 
+def test_png_chunk_that_claims_gigabytes_after_the_end(tmp_path):
+    """Likewise: of a picture without pixels, OpenCV went on beyond its end."""
+    data = seeds.png([(b"IHDR", struct.pack(">IIBBBBB", 4, 2, 8, 0, 0, 0, 0))])
+    (tmp_path / "a.png").write_bytes(data + b"\xff\xff\xff\xf8IEND\0\0\0\0")
+    refused_by_its_header(tmp_path / "a.png", r"a\.png: expected a whole image file")
+
+
 def test_png_with_something_after_its_end_is_read(tmp_path):
     write_image(tmp_path / "a.png", np.full((4, 4, 3), 0.5, np.float32))
     with (tmp_path / "a.png").open("ab") as file:

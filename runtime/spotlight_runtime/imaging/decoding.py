@@ -70,8 +70,7 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     if not data.startswith(_SIGNATURES):
         raise ImageFileError(f"{path}: expected a PNG, JPEG, WebP or Radiance HDR file")
     check_header(data, str(path))
-    if data.startswith(_PNG_SIGNATURE):
-        _check_chunks(data, path)
+    end = _png_end(data, path) if data.startswith(_PNG_SIGNATURE) else len(data)
     if data.startswith(_JPEG_SIGNATURE):
         # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
         if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
@@ -80,7 +79,7 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     else:
         flags = cv2.IMREAD_UNCHANGED
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8, count=end), flags)
     except cv2.error as error:
         raise ImageFileError(f"{path}: cannot be decoded: {error}") from error
     if pixels is None:
@@ -88,17 +87,18 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     return swap_red_blue(pixels)
 
 
-def _check_chunks(data: bytes, path: str | Path) -> None:
-    """Raise unless a PNG's chunks are as long as they say.
+def _png_end(data: bytes, path: str | Path) -> int:
+    """Where a PNG's last chunk ends, if all chunks up to it are as long as they say.
 
-    OpenCV allocates what a chunk claims, up to four gigabytes, before it looks whether it is there.
+    OpenCV allocates what a chunk claims, up to four gigabytes, before it looks whether it is there;
+    of a picture without pixels it goes on to what lies after the last one.
     """
     position = len(_PNG_SIGNATURE)
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
         position += 12 + length
         if kind == b"IEND" and position <= len(data):
-            return
+            return position
     raise ImageFileError(
         f"{path}: expected a whole image file, got a truncated PNG of {len(data)} bytes; "
         "export or download it again"

@@ -62,6 +62,7 @@ export class Viewer {
 
   /** The picture as it forms, in the window that is diffused. */
   showForming(url, [left, top, right, bottom]) {
+    this.forming.classList.toggle("part", right - left < 1 || bottom - top < 1);
     const percent = (share) => `${share * 100}%`;
     Object.assign(this.forming.style, {
       left: percent(left), top: percent(top), width: percent(right - left), height: percent(bottom - top),

@@ -60,11 +60,10 @@ def test_drop_place_drag_relight_compare_download_reload(visit, client, tmp_path
     told = page.get_by_role("slider", name="Light", exact=True).get_attribute("aria-valuetext")
     assert f"azimuth {after[0]:.0f}°, elevation {after[1]:.0f}°" in told
 
-    # Relight: seconds are told beforehand, the picture forms, and can be compared.
+    # Relight: seconds are told beforehand, and the picture can be compared.
     page.get_by_text("Draft", exact=True).click()
     assert "about" in page.get_by_role("button", name="Relight").inner_text()
     page.get_by_role("button", name="Relight").click()
-    page.locator("#forming").wait_for()
     page.locator("#compare").wait_for()
     divider = page.get_by_label("Share of the picture that shows before")
     divider.focus()
@@ -206,3 +205,30 @@ def test_eight_directions(visit, client):
     lights = client.jobs()[0].facts["request"]["lights"]
     assert [light["azimuth"] for light in lights] == [i * 45.0 for i in range(8)]
     assert "8 directions" in page.locator("#history li").first.inner_text()
+
+
+def test_the_forming_picture_lies_where_it_is_diffused(visit, client, tmp_path):
+    """Of a large photograph a window is diffused: the preview says which, and is shown there."""
+    (tmp_path / "room.jpg").write_bytes(picture(".jpg", (600, 800)))
+    (tmp_path / "vase.png").write_bytes(cutout())
+    place = {"at": (0.3, 0.9), "height": 0.2, "horizon": 0.2}
+    scene = client.compose(tmp_path / "room.jpg", tmp_path / "vase.png", **place)
+    job = client.relight(scene, [{"azimuth": 135, "elevation": 45}], plan="exact")
+    previews = (event for event in client.events(job) if event.kind == "preview")
+    left, top, right, bottom = next(previews).data["window"]
+    box = scene.facts["object_box"]
+    assert 0 <= left < box[0] < box[2] < right <= 1
+    assert 0 <= top < box[1] < box[3] < bottom <= 1
+    assert right - left < 0.9
+
+    # Whoever opens the page now sees it form there, and comes closer.
+    page = visit()
+    page.locator("#forming").wait_for()
+    picture_box = page.locator("#picture").bounding_box()
+    forming = page.locator("#forming").bounding_box()
+    share = (forming["x"] - picture_box["x"]) / picture_box["width"]
+    assert share == pytest.approx(left, abs=0.01)
+    page.get_by_role("button", name="Closer").click()
+    assert page.locator("#picture").bounding_box()["width"] > 1.5 * picture_box["width"]
+    client.cancel(job)
+    page.locator("#run").wait_for(state="hidden")

@@ -46,6 +46,7 @@ async function entered(scene, composed) {
   })) byId(id).hidden = hidden;
   byId("asks").disabled = false;
   viewer.hideSketch();
+  viewer.box = scene.object_box;
   viewer.shape(scene.width, scene.height);
   dome.stand(scene);
   if (other) lights.enter(scene);
@@ -81,6 +82,7 @@ function startOver() {
 }
 
 function clear() {
+  viewer.approach(false);
   run.leave();
   sketches.drop();
   Object.assign(state, { scene: null, composed: false, result: null });

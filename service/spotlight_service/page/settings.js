@@ -39,7 +39,10 @@ export class Settings {
     const choices = [...plans, { name: "budget", summary: "as good as the time allows" }];
     byId("plans").replaceChildren(...choices.map(({ name, summary, seconds: takes }) => {
       const input = element("input", { type: "radio", name: "plan", value: name });
-      input.addEventListener("change", () => this.show());
+      input.addEventListener("change", () => {
+        this.show();
+        byId("budget-row").scrollIntoView({ block: "nearest" });
+      });
       const time = name === "budget" ? "" : takes === null ? "measuring" : `${seconds(takes)}`;
       return element("label", { className: "plan" }, input,
         element("span", { className: "plan-name" }, TITLES[name] || (name === "budget" ? "Time budget" : name)),

@@ -3,7 +3,7 @@
 import { byId, display } from "./ui.js";
 
 const MOST_ENLARGED = 3; // times; small samples would turn to mush
-const DIVIDER_START = 50; // percent
+const CONTEXT = 2.4; // times the object's size that is shown around it from close by
 
 export class Viewer {
   constructor() {
@@ -15,8 +15,11 @@ export class Viewer {
     this.forming = byId("forming");
     this.divider = byId("divider");
     this.size = [1, 1];
+    this.box = [0, 0, 1, 1]; // of the object, in fractions
+    this.close = false;
     new ResizeObserver(() => this.fit()).observe(this.frame);
     this.divider.addEventListener("input", () => this.divide());
+    byId("closer").addEventListener("click", () => this.approach(!this.close));
   }
 
   /** Take the proportions of a picture of so many pixels. */
@@ -25,12 +28,30 @@ export class Viewer {
     this.fit();
   }
 
+  /** Show the object from close by, or the whole picture. */
+  approach(close) {
+    this.close = close;
+    byId("closer").setAttribute("aria-pressed", close);
+    this.fit();
+  }
+
+  /** Where in the room there is a picture lies, and how large. */
   fit() {
     const [width, height] = this.size;
     const style = getComputedStyle(this.frame);
     const pads = [style.paddingLeft, style.paddingRight, style.paddingTop, style.paddingBottom].map(parseFloat);
     const room = [this.frame.clientWidth - pads[0] - pads[1], this.frame.clientHeight - pads[2] - pads[3]];
-    const factor = Math.max(0, Math.min(room[0] / width, room[1] / height, MOST_ENLARGED));
+    const sheet = this.picture.classList.contains("sheet");
+    const whole = Math.min(room[0] / width, room[1] / height, MOST_ENLARGED);
+    const [left, top, right, bottom] = this.box;
+    const part = Math.min(1, CONTEXT * Math.max(right - left, bottom - top));
+    const factor = Math.max(0, this.close && !sheet ? whole / part : whole);
+    const off = (low, high, side) => {
+      const spare = Math.max(0, (factor / whole - 1) / 2); // of what is seen, on either side
+      const wanted = (0.5 - (low + high) / 2) * (factor / whole);
+      return Math.min(spare, Math.max(-spare, wanted)) * side * whole;
+    };
+    this.picture.style.translate = `${off(left, right, width)}px ${off(top, bottom, height)}px`;
     this.picture.style.width = `${Math.floor(width * factor)}px`;
     this.picture.style.height = `${Math.floor(height * factor)}px`;
   }
@@ -56,7 +77,7 @@ export class Viewer {
     this.after.alt = told;
     this.compares = compares;
     if (!compares) this.shape(this.after.naturalWidth, this.after.naturalHeight);
-    this.divider.value = DIVIDER_START;
+    this.divider.value = 50 * (this.box[0] + this.box[2]); // over the object
     this.divide();
   }
 
@@ -87,6 +108,7 @@ export class Viewer {
     this.after.hidden = !result;
     byId("compare").hidden = !result || !this.compares;
     this.picture.classList.toggle("sheet", result && !this.compares);
+    this.fit();
     this.divide();
   }
 

@@ -238,6 +238,7 @@ def test_effects_say_why(relighter, scene, shadow):
 
 
 def test_a_light_without_size_is_said(relighter):
+    pytest.importorskip("embreex", reason="needs the scene extra")
     scene = ball_scene(64)
     lights = [Light(azimuth=40.0, elevation=40.0, radius=radius) for radius in (1.0, 0.0)]
     plans = [relighter.prepare(scene, light, denoise=False).plan for light in lights]

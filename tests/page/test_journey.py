@@ -27,6 +27,7 @@ def test_drop_place_drag_relight_compare_download_reload(visit, client, tmp_path
     (tmp_path / "room.jpg").write_bytes(picture(".jpg", (96, 128)))
     (tmp_path / "vase.png").write_bytes(cutout())
     page = visit()
+    page.locator(".sample img[src^='blob:']").nth(2).wait_for()  # the last scene not of our making
 
     # Drop a photograph, then its object; it is put in where the floor was clicked before.
     drop(page, tmp_path / "room.jpg")

@@ -76,7 +76,7 @@ def test_nothing_is_inline_or_from_elsewhere():
 
 def test_files_are_small_enough_to_read():
     for path in PAGE.iterdir():
-        assert len(path.read_text().splitlines()) <= 350, path.name
+        assert len(path.read_text().splitlines()) <= 300, path.name
 
 
 @pytest.mark.full

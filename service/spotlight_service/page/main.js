@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { Dome } from "./dome.js";
+import { bindDrops, bindKey, bindTheme } from "./frame.js";
 import { History } from "./history.js";
 import { Latest } from "./latest.js";
 import { Lights } from "./lights.js";
@@ -10,7 +11,7 @@ import { Run } from "./relight.js";
 import { SceneDesk, offerSamples } from "./scene.js";
 import { Settings } from "./settings.js";
 import * as store from "./store.js";
-import { byId, display, element, onRadio, radio, save, seconds, setRadio, slider, tell, toast } from "./ui.js";
+import { byId, display, onRadio, radio, save, seconds, setRadio, slider, tell, toast } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const QUICK_SIDE = 256; // pixels of a sketch while a light is dragged
@@ -20,7 +21,7 @@ const LOOKS = 60;
 const SUFFIXES = { "image/png": "png", "image/jpeg": "jpg", "image/webp": "webp", "image/x-exr": "exr" };
 const DIRECTIONS = 8;
 
-const state = { scene: null, composed: false, result: null, started: false };
+const state = { scene: null, composed: false, result: null };
 
 const viewer = new Viewer();
 const lights = new Lights(lightsChanged);
@@ -242,50 +243,7 @@ async function downloadReport() {
   }
 }
 
-// --- the frame ---------------------------------------------------------------------------------
-
-function bindDrops() {
-  let depth = 0;
-  const veil = byId("veil");
-  const files = (event) => event.dataTransfer?.types.includes("Files");
-  window.addEventListener("dragenter", (event) => { if (files(event)) { depth++; veil.hidden = false; } });
-  window.addEventListener("dragleave", (event) => { if (files(event) && --depth <= 0) veil.hidden = true; });
-  window.addEventListener("dragover", (event) => { if (files(event)) event.preventDefault(); });
-  window.addEventListener("drop", (event) => {
-    if (!files(event)) return;
-    event.preventDefault();
-    depth = 0;
-    veil.hidden = true;
-    desk.take([...event.dataTransfer.files]);
-  });
-}
-
-function bindTheme() {
-  setRadio("theme", document.documentElement.dataset.theme || "auto");
-  onRadio("theme", (theme) => {
-    if (theme === "auto") delete document.documentElement.dataset.theme;
-    else document.documentElement.dataset.theme = theme;
-    localStorage.setItem("spotlight-theme", theme);
-  });
-}
-
-function bindKey() {
-  const dialog = byId("key-dialog");
-  let asking = null;
-  api.onKeyNeeded(() => {
-    asking ??= new Promise((resolve) => {
-      dialog.showModal();
-      dialog.addEventListener("close", () => {
-        asking = null;
-        resolve(dialog.returnValue ? byId("key").value.trim() : null);
-        byId("key").value = "";
-      }, { once: true });
-    });
-    return asking;
-  });
-  byId("key-use").addEventListener("click", () => dialog.close("use"));
-  byId("key").addEventListener("keydown", (event) => { if (event.key === "Enter") dialog.close("use"); });
-}
+// --- the service ----------------------------------------------------------------------------------
 
 /** Follow the service until it is ready and has measured what plans take. */
 async function follow() {
@@ -328,7 +286,7 @@ byId("download").addEventListener("click", download);
 byId("download-report").addEventListener("click", downloadReport);
 byId("new-scene").addEventListener("click", startOver);
 bindPainter();
-bindDrops();
+bindDrops((files) => desk.take(files));
 bindTheme();
 bindKey();
 predict();

@@ -11,8 +11,9 @@ const STEP = 2; // degrees an arrow key moves a light
 const STRIDE = 15; // … with shift, or by page up and down
 const POINTS = 72; // of a ring
 const BEYOND = 0.01; // of the picture, that the dome may reach beyond it
+const OVERHANG = 0.05; // of the picture, that a lamp may lie beyond it and still be seen
 const LEAST = 0.16; // of the picture's shorter side: a smaller dome is hard to grasp
-const ROOMY = 1.12; // times the object's height that the dome is high at least
+const ROOMY = 0.8; // of the object's height: the dome is at least as high
 
 export class Dome {
   /**
@@ -139,8 +140,8 @@ export class Dome {
       handle.hidden = light.kind !== "placed";
       if (handle.hidden) return;
       const [x, y] = this.place(light.azimuth, light.elevation);
-      handle.style.left = `${clamped(x, 0, 1) * 100}%`;
-      handle.style.top = `${clamped(y, 0, 1) * 100}%`;
+      handle.style.left = `${clamped(x, -OVERHANG, 1 + OVERHANG) * 100}%`;
+      handle.style.top = `${clamped(y, -OVERHANG, 1 + OVERHANG) * 100}%`;
       handle.style.setProperty("--lamp", light.colour);
       handle.classList.toggle("selected", index === this.selected);
       handle.classList.toggle("behind", !this.inFront(light));

@@ -100,7 +100,7 @@ export function caption(job) {
 const sentence = (text) => text[0].toUpperCase() + text.slice(1);
 
 function detail(job) {
-  const at = new Date(job.created).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  const at = new Date(job.created).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", hour12: false });
   const plan = job.plan?.name ?? job.request.plan ?? "";
   return [plan, seconds(job.seconds), at].filter(Boolean).join(" · ");
 }

@@ -18,8 +18,8 @@ import numpy as np
 from spotlight_bench.peers_engines import open_engine
 from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, Scene
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.relighting.calibration import made_up_scene
 from spotlight_runtime.relighting.result import peak_memory_bytes
-from spotlight_runtime.scenes.scene import Intrinsics
 from spotlight_spec import BackboneSpec, Manifest
 
 __all__ = ["evaluations", "main", "relight", "scene_of"]
@@ -142,29 +142,8 @@ def relight(
 
 def scene_of(side: int) -> tuple[Scene, GuidingShadow]:
     """A ball on a plain floor with its shadow to the right, contrasted with one to the left."""
-    rows, columns = (np.mgrid[:side, :side].astype(np.float32) + 0.5) / np.float32(side)
-
-    def disc(row: float, column: float, radius: float) -> FloatArray:
-        inside = np.hypot(rows - row, columns - column) < radius
-        return inside.astype(np.float32)
-
-    ball = disc(0.45, 0.5, 0.2)
-
-    def maps(cover: FloatArray, tone: float) -> Intrinsics:
-        normal = np.zeros((side, side, 3), np.float32)
-        normal[..., 2] = cover
-        return Intrinsics(
-            albedo=np.repeat(cover[..., None], 3, axis=2) * np.float32(tone),
-            normal=normal,
-            depth=cover * (np.float32(3.0) - rows),
-            roughness=cover * np.float32(0.6),
-            metallic=np.zeros_like(cover),
-        )
-
-    background = np.repeat((0.3 + 0.3 * rows)[..., None], 3, axis=2).astype(np.float32)
-    scene = Scene(background, maps(np.ones_like(ball), 0.6), maps(ball, 0.4), ball)
-    right, left = disc(0.6, 0.65, 0.15) * (1 - ball), disc(0.6, 0.35, 0.15) * (1 - ball)
-    return scene, GuidingShadow(right, left)
+    scene, right = made_up_scene(side)
+    return scene, GuidingShadow(right, np.ascontiguousarray(right[:, ::-1]))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from spotlight_runtime.relighting.result import RelightResult
 from spotlight_runtime.scenes.scene import Intrinsics, Scene
 from spotlight_spec import BackboneSpec
 
-__all__ = ["measure_costs"]
+__all__ = ["made_up_scene", "measure_costs"]
 
 Relight = Callable[[Scene, FloatArray, RelightOptions], RelightResult]
 
@@ -43,7 +43,7 @@ def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
     half, whole = spec.size // 2, spec.size
 
     def run(side: int) -> dict[str, float]:
-        scene, shadow = _made_up(side)
+        scene, shadow = made_up_scene(side)
         return relight(scene, shadow, RelightOptions(steps=STEPS, skip=False)).timings
 
     run(half)  # opens the sessions
@@ -68,11 +68,25 @@ def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
     )
 
 
-def _made_up(side: int) -> tuple[Scene, FloatArray]:
-    """A disc on a plain floor and its shadow; with all maps, for any backbone."""
-    rows, columns = np.mgrid[:side, :side].astype(np.float32) / np.float32(side)
-    disc = (np.hypot(rows - 0.45, columns - 0.5) < 0.2).astype(np.float32)
-    shadow = (np.hypot(rows - 0.6, columns - 0.65) < 0.15).astype(np.float32)
+def made_up_scene(side: int) -> tuple[Scene, FloatArray]:
+    """A ball on a plain floor, with all maps, for any backbone; and its shadow to the right.
+
+    Parameters
+    ----------
+    side : int
+        In pixels.
+
+    Returns
+    -------
+    scene : Scene
+        Its own mirror image.
+    shadow : ndarray of float32, shape (side, side)
+    """
+    rows, columns = (np.mgrid[:side, :side].astype(np.float32) + 0.5) / np.float32(side)
+
+    def disc(row: float, column: float, radius: float) -> FloatArray:
+        inside = np.hypot(rows - row, columns - column) < radius
+        return inside.astype(np.float32)
 
     def maps(cover: FloatArray, tone: float) -> Intrinsics:
         normal = np.zeros((side, side, 3), np.float32)
@@ -85,6 +99,7 @@ def _made_up(side: int) -> tuple[Scene, FloatArray]:
             metallic=np.zeros_like(cover),
         )
 
+    ball = disc(0.45, 0.5, 0.2)
     background = np.repeat((0.3 + 0.3 * rows)[..., None], 3, axis=2).astype(np.float32)
-    scene = Scene(background, maps(np.ones_like(disc), 0.6), maps(disc, 0.4), disc)
-    return scene, shadow * (np.float32(1.0) - disc)
+    scene = Scene(background, maps(np.ones_like(ball), 0.6), maps(ball, 0.4), ball)
+    return scene, disc(0.6, 0.65, 0.15) * (np.float32(1.0) - ball)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, cast, get_args
 import numpy as np
 import typer
 
+from spotlight_bench import arguments as a
 from spotlight_runtime.planning.ladder import PlanName
 
 if TYPE_CHECKING:
@@ -190,9 +191,7 @@ def budgets(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write every request and its times here.")
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
-    ] = None,
+    threads: a.Threads = None,
 ) -> None:
     """Hold the seconds that plans predict against those that relights take.
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from spotlight_bench import arguments as a
+
 if TYPE_CHECKING:
     from spotlight_bench.evaluate import Work
     from spotlight_bench.methods import Method
@@ -60,18 +62,12 @@ def evaluate(
     quick: Annotated[
         bool, typer.Option("--quick", help="A few scenes and the main methods: minutes.")
     ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the results in the output folder.")
-    ] = False,
+    resume: a.Resume = False,
     images: Annotated[
         bool, typer.Option("--images", help="Write every picture, not only those on the sheet.")
     ] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write all figures here, for machines.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
-    ] = None,
+    json_file: a.JsonFile = None,
+    threads: a.Threads = None,
 ) -> None:
     """Compare methods on a test set: figures with intervals, light following, sheet, animation.
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from spotlight_bench import arguments as a
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -73,18 +75,12 @@ def pareto(
     quick: Annotated[
         bool, typer.Option("--quick", help="A small grid on two scenes: under five minutes.")
     ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the results in the output folder.")
-    ] = False,
+    resume: a.Resume = False,
     ladder: Annotated[
         Path | None, typer.Option(help="Write the ladder of plans here as well.")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write all figures here, for machines.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
-    ] = None,
+    json_file: a.JsonFile = None,
+    threads: a.Threads = None,
 ) -> None:
     """Measure what accuracy costs in time: curve, table and the ladder that budgets climb.
 

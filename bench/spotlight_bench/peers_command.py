@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 
+from spotlight_bench import arguments as a
+
 if TYPE_CHECKING:
     from spotlight_bench.peers import Measured, Row
 
@@ -53,12 +55,8 @@ def peers(
         typer.Option(min=1, help="Turns with whole relights.", show_default="3, 1 at full size"),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="One turn, few evaluations.")] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write all figures here, for machines.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
-    ] = None,
+    json_file: a.JsonFile = None,
+    threads: a.Threads = None,
 ) -> None:
     """Hold the runtime against diffusers, OpenVINO and a plain export: time, memory, error.
 

@@ -9,6 +9,8 @@ from typing import Annotated, Final
 
 import typer
 
+from spotlight_bench import arguments as a
+
 __all__ = ["stability"]
 
 REPORT: Final = "stability.md"
@@ -29,12 +31,8 @@ def stability(
     quick: Annotated[
         bool, typer.Option("--quick", help="No runs of 1000 steps, models at γ = 3 alone.")
     ] = False,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write all figures here, for machines.")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
-    ] = None,
+    json_file: a.JsonFile = None,
+    threads: a.Threads = None,
 ) -> None:
     """How rounding errors grow over the steps, case by case and precision by precision.
 

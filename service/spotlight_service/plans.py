@@ -7,7 +7,7 @@ from typing import Any, Final, get_args
 
 from spotlight_runtime import Light, Progress, Relighter, Scene
 from spotlight_runtime.cli.demo import find_scene
-from spotlight_runtime.planning.ladder import PlanName, named_rung
+from spotlight_runtime.planning.ladder import PlanName, Rung, named_rung
 from spotlight_runtime.relighting.tasks import Task, Wishes, check_wishes
 
 __all__ = [
@@ -22,11 +22,6 @@ __all__ = [
 ]
 
 USUAL: Final = "exact"
-SUMMARIES: Final = {
-    "exact": "every effect the scene calls for; what could not change the picture is left out",
-    "balanced": "fewer steps, guidance in the first half",
-    "draft": "a few steps, to see what will come",
-}
 _LIGHT: Final = Light(azimuth=135.0, elevation=45.0)
 """Of what plans are predicted for: a scene that comes along, and one light."""
 
@@ -99,12 +94,26 @@ def offered(seconds: Mapping[str, float]) -> list[dict[str, Any]]:
     return [
         {
             "name": name,
-            "summary": SUMMARIES[name],
+            "summary": _summary(named_rung(name)),
             "seconds": seconds.get(name),
             "loss_db": named_rung(name).loss_db,
         }
         for name in get_args(PlanName)
     ]
+
+
+def _summary(rung: Rung) -> str:
+    """What a plan does, in half a line, from the options it stands for."""
+    options = rung.options
+    if not options:
+        return "every effect the scene calls for; what could not change the picture is left out"
+    said = [f"{options['steps']} steps of {options.get('solver', 'ddim')}"]
+    if "plain_steps" in options:
+        said.append(f"{options['plain_steps']} without shadow")
+    if "guidance_interval" in options:
+        first, last = options["guidance_interval"]
+        said.append(f"guidance from {first:.0%} to {last:.0%} of them")
+    return ", ".join(said)
 
 
 def _wishes(request: Mapping[str, Any]) -> Wishes:

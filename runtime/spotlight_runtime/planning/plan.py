@@ -17,8 +17,8 @@ class GuidedPass:
     ----------
     steps : int
     contrasted : tuple of int
-        First and last-but-one step at which the negative branch is evaluated, too; the same
-        number twice where there is no negative branch.
+        First step at which the negative branch is evaluated, too, and the first after it at which
+        it no longer is; the same number twice where there is no negative branch.
     encoded : tuple of bool
         By branch, positive first: whether its rough composite is encoded and blended in.
     """

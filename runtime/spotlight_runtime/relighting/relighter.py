@@ -322,7 +322,7 @@ class Relighter:
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
     ) -> Iterator[Step]:
-        """Task SpotLight's loop on ready arrays, yielding the latents step by step.
+        """Run SpotLight's loop on ready arrays, yielding the latents step by step.
 
         No random number is drawn and nothing is derived from a scene: with another
         implementation's arrays this replays its trajectory. Of the options, gamma, beta, steps,

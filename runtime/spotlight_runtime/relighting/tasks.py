@@ -155,8 +155,7 @@ def prepare_task(
     choices, budget = _choices(options, wishes)
     known = costs(budget is not None)  # measured, if it must be, before the clock starts
     stopwatch = Stopwatch()
-    for _, first in choices[:1]:
-        denoising(spec, first)  # an error about it now, not after the loop
+    denoising(spec, choices[0][1])  # an error about it now, not after shadows were cast
     with stopwatch.stage("prepare"):
         guides = guiding_shadows(scene, light, negative)
 

@@ -28,7 +28,7 @@ DROP = """([files]) => {
 }"""
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")  # its event loop keeps others from running until it is closed
 def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
@@ -39,7 +39,7 @@ def browser():
         running.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def server(browser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     running = Server(folder / "data", folder, measure="true", requests_per_minute=1_000_000).start()

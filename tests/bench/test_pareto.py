@@ -10,6 +10,7 @@ import typer
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from support.onnx_backbone import tiny_spec, write_backbone
 from typer.testing import CliRunner
 
 from spotlight_bench import metrics
@@ -186,14 +187,21 @@ def test_shares_of_time_are_of_the_same_round():
 
 
 @pytest.fixture(scope="module")
-def run(backbone_folder, testset, tmp_path_factory):
+def slow_folder(tmp_path_factory):
+    """A tiny backbone whose evaluations take most of the time, so that leaving some out shows."""
+    folder = tmp_path_factory.mktemp("models") / "tiny"
+    return write_backbone(folder, tiny_spec(steps=2), hidden=4096)
+
+
+@pytest.fixture(scope="module")
+def run(slow_folder, testset, tmp_path_factory):
     """Sweep as the command line does, with costs kept in a folder of its own."""
     app = typer.Typer()
     app.command()(pareto)
     cache = {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
 
     def call(output, *arguments):
-        given = [str(testset), "--model", str(backbone_folder), "-o", str(output), "--threads", "1"]
+        given = [str(testset), "--model", str(slow_folder), "-o", str(output), "--threads", "1"]
         given += [str(argument) for argument in arguments]
         return CliRunner(env=cache).invoke(app, given)
 

@@ -6,6 +6,7 @@ It has random weights and the real contract: four graphs, dynamic sizes, a manif
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,9 +36,17 @@ def tiny_spec(backbone: str = "zerocomp-openrooms", steps: int = 4) -> BackboneS
 
 
 def write_backbone(
-    folder: Path, spec: BackboneSpec | None = None, seed: int = 0, gain: float = 1.0
+    folder: Path,
+    spec: BackboneSpec | None = None,
+    seed: int = 0,
+    gain: float = 1.0,
+    hidden: int = 8,
 ) -> Path:
-    """Write a model folder; ``gain`` scales the denoiser's output (infinity makes it overflow)."""
+    """Write a model folder.
+
+    ``gain`` scales the denoiser's output (infinity makes it overflow), ``hidden`` is its width:
+    with thousands of channels its evaluations are what a relight takes its time for.
+    """
     spec = spec or tiny_spec()
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -45,7 +54,7 @@ def write_backbone(
     makers = {
         "vae_encoder": _vae_encoder,
         "condition_encoder": _condition_encoder,
-        "denoiser": _denoiser,
+        "denoiser": partial(_denoiser, hidden=hidden),
         "vae_decoder": _vae_decoder,
     }
     for contract in contracts:
@@ -113,8 +122,8 @@ def _condition_encoder(spec: BackboneSpec, rng: np.random.Generator):
     return nodes, {"w": _patchify(rng, spec.conditioning_channels, CONDITION_CHANNELS, s)}
 
 
-def _denoiser(spec: BackboneSpec, rng: np.random.Generator):
-    c, hidden = spec.latent.channels, 8
+def _denoiser(spec: BackboneSpec, rng: np.random.Generator, hidden: int):
+    c = spec.latent.channels
     nodes = [
         helper.make_node("Concat", ["latents", "condition"], ["x"], axis=1),
         helper.make_node("Conv", ["x", "in_w"], ["y"], pads=[1, 1, 1, 1], kernel_shape=[3, 3]),

@@ -80,7 +80,8 @@ def test_a_broken_promise_is_noticed(broken, tmp_path):
 
 
 def test_memory_taken_and_given_back_is_noticed():
-    assert peak_memory(lambda: np.ones(32 << 20, np.uint8)) >= 30 << 20
+    # More than the C library ever serves from what it has kept of earlier tests (32 MiB).
+    assert peak_memory(lambda: np.ones(64 << 20, np.uint8)) >= 62 << 20
 
 
 def test_the_mutator_says_the_same_twice_and_seldom_nothing_new(tmp_path):

@@ -181,7 +181,7 @@ def test_a_body_that_is_no_json(server):
 
 
 def test_a_result_is_409_until_it_is_there(server, client, scene):
-    job = client.relight(scene, [LIGHT], model="tiny", steps=400)
+    job = client.relight(scene, [LIGHT] * 4, model="tiny", steps=1000)
     with pytest.raises(ServiceError) as caught:
         client.result(job)
     assert caught.value.status == 409

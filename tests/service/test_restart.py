@@ -19,6 +19,8 @@ from spotlight_service.settings import Settings
 from .servers import Server
 
 LIGHT = {"azimuth": 200.0, "elevation": 40.0}
+LONG = {"steps": 1000}
+"""By four lights: seconds, on any machine, in which to kill, stop or look."""
 
 
 def until(condition, seconds=60.0):
@@ -64,7 +66,7 @@ def gone(pid: int) -> bool:
 def test_killed_with_ten_jobs_waiting_and_one_running(service, models, bundle):
     with service.client() as client:
         scene = client.upload(bundle)
-        running = client.relight(scene, [LIGHT], model="tiny", steps=400)
+        running = client.relight(scene, [LIGHT] * 4, model="tiny", **LONG)
         waiting = [client.relight(scene, [LIGHT], model="tiny", seed=seed) for seed in range(10)]
         until(lambda: (client.job(running).facts["progress"] or {}).get("step", 0) > 5)
         worker = worker_of(service)
@@ -89,7 +91,7 @@ def test_killed_with_ten_jobs_waiting_and_one_running(service, models, bundle):
 def test_a_killed_worker_is_replaced_and_its_job_done_again(service, bundle):
     with service.client() as client:
         scene = client.upload(bundle)
-        job = client.relight(scene, [LIGHT], model="tiny", steps=400)
+        job = client.relight(scene, [LIGHT] * 4, model="tiny", **LONG)
         until(lambda: client.job(job).facts["progress"] is not None)
         before = worker_of(service)
         os.kill(before, signal.SIGKILL)
@@ -102,7 +104,7 @@ def test_a_killed_worker_is_replaced_and_its_job_done_again(service, bundle):
 def test_a_stop_gives_the_running_job_back_unharmed(service, bundle):
     with service.client() as client:
         scene = client.upload(bundle)
-        job = client.relight(scene, [LIGHT], model="tiny", steps=400)
+        job = client.relight(scene, [LIGHT] * 4, model="tiny", **LONG)
         until(lambda: client.job(job).facts["progress"] is not None)
         events = client.events(job)
         next(events)

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -28,6 +29,7 @@ LATENTS = (1, 4, 8, 8)
 LEVEL = 2.0**-5
 """Of the quantised graph, which so holds from −4 to 3.97."""
 HALF_ROUNDOFF = 2.0**-11
+WEIGHT_STEP, SUM_LEVEL = 2.0**-10, 2.0**-3
 Parts = tuple[list[onnx.NodeProto], dict[str, np.ndarray]]
 
 
@@ -52,8 +54,47 @@ def in_int8(gain: float) -> Parts:
     return nodes, {"level": level, "zero": zero, "gain": np.float32(gain)}
 
 
+def in_int8_layer(operator: str) -> Parts:
+    """prediction = a convolution or product of bytes, written as the exporter writes it."""
+    weights = heavy_weights(operator)
+    channel_axis = 0 if operator == "Conv" else 1
+    nodes = [
+        helper.make_node("QuantizeLinear", ["latents", "level", "zero"], ["whole"]),
+        helper.make_node("DequantizeLinear", ["whole", "level", "zero"], ["rounded"]),
+        helper.make_node(
+            "DequantizeLinear", ["weights", "steps", "zeros"], ["used"], axis=channel_axis
+        ),
+    ]
+    numbers = {
+        "level": np.float32(LEVEL),
+        "zero": np.uint8(128),
+        "weights": weights,
+        "steps": np.full(weights.shape[0], WEIGHT_STEP, np.float32),
+        "zeros": np.zeros(weights.shape[0], np.int8),
+    }
+    if operator == "MatMul":
+        nodes += [
+            helper.make_node("Transpose", ["rounded"], ["tokens"], perm=[0, 2, 3, 1]),
+            helper.make_node("MatMul", ["tokens", "used"], ["product"]),
+            helper.make_node("Transpose", ["product"], ["prediction"], perm=[0, 3, 1, 2]),
+        ]
+        return nodes, numbers
+    nodes += [
+        helper.make_node("Conv", ["rounded", "used"], ["sum"], pads=[1] * 4),
+        helper.make_node("QuantizeLinear", ["sum", "sum_level", "zero"], ["whole_sum"]),
+        helper.make_node("DequantizeLinear", ["whole_sum", "sum_level", "zero"], ["prediction"]),
+    ]
+    return nodes, numbers | {"sum_level": np.float32(SUM_LEVEL)}
+
+
+def heavy_weights(operator: str) -> np.ndarray:
+    """Weights next to the largest byte, so that any two products pass what 16 bits hold."""
+    shape = (4, 4, 3, 3) if operator == "Conv" else (4, 4)
+    return np.random.default_rng(1).integers(100, 128, shape).astype(np.int8)
+
+
 @cache
-def denoiser(make: Callable[[float], Parts], gain: float) -> OnnxGraph:
+def denoiser(make: Callable[[Any], Parts], gain: float | str) -> OnnxGraph:
     spec = tiny_spec()
     contracts = graph_contracts(spec, condition_channels=CONDITION_CHANNELS)
     contract = next(each for each in contracts if each.name == "denoiser")
@@ -62,7 +103,7 @@ def denoiser(make: Callable[[float], Parts], gain: float) -> OnnxGraph:
         return open_graph(Path(folder), contract, threads=1)
 
 
-def as_predict(make: Callable[[float], Parts], gain: float) -> Predict:
+def as_predict(make: Callable[[Any], Parts], gain: float | str) -> Predict:
     condition = np.zeros((1, CONDITION_CHANNELS, *LATENTS[2:]), np.float32)
     return predictor({"denoiser": denoiser(make, gain)}, condition, ScheduleSpec())
 
@@ -81,6 +122,22 @@ def _int8(scale: float) -> tuple[np.ndarray, np.ndarray]:
     z = unit(scale)
     held = np.clip(np.rint(z.astype(np.float64) / LEVEL), -128, 127) * LEVEL
     return as_predict(in_int8, 1.0)(z, 999), held
+
+
+def _int8_layer(operator: str) -> tuple[np.ndarray, np.ndarray]:
+    z = unit(2.0)
+    held = np.clip(np.rint(z.astype(np.float64) / LEVEL), -128, 127) * LEVEL
+    weights = heavy_weights(operator) * WEIGHT_STEP
+    if operator == "MatMul":
+        return as_predict(in_int8_layer, operator)(z, 999), np.einsum(
+            "nchw,co->nohw", held, weights
+        )
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(held, ((0, 0), (0, 0), (1, 1), (1, 1))), (3, 3), axis=(2, 3)
+    )
+    total = np.einsum("ncijkl,ockl->noij", windows, weights)
+    held_total = np.clip(np.rint(total / SUM_LEVEL), -128, 127) * SUM_LEVEL
+    return as_predict(in_int8_layer, operator)(z, 999), held_total
 
 
 def _int8_run(scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -121,6 +178,15 @@ CASES = [
             relative=0.0,
         )
         for scale in (1.0, 1e4, 1e-6)
+    ),
+    *(
+        Case(
+            f"{operator} of bytes near their largest",
+            "processors without VNNI add products of bytes in 16 bits, which saturate",
+            partial(_int8_layer, operator),
+            relative=1e-6,
+        )
+        for operator in ("Conv", "MatMul")
     ),
     Case(
         "twenty steps in int8, latents of 1e4",

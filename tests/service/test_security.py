@@ -196,6 +196,17 @@ def test_headers_of_every_answer(server, path):
     assert answer.headers["x-request-id"]
 
 
+@pytest.mark.parametrize("path", ["/", "/main.js", "/base.css", "/icon.svg"])
+def test_the_page_is_asked_for_anew_and_sent_again_only_if_it_changed(server, path):
+    first = httpx.get(server.address + path)
+    assert first.headers["Cache-Control"] == "no-cache"
+    again = httpx.get(server.address + path, headers={"If-None-Match": first.headers["ETag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert again.headers["Cache-Control"] == "no-cache"
+    assert again.headers["ETag"] == first.headers["ETag"]
+    assert httpx.get(f"{server.address}/v1/models").headers["Cache-Control"] == "no-store"
+
+
 def test_the_log_has_every_request_by_its_id_as_json(server):
     httpx.get(f"{server.address}/v1/models?token=geheim", headers={"X-Request-ID": "mine-42"})
     httpx.get(f"{server.address}/v1/models", headers={"X-Request-ID": "zweizeilen\t{}"})

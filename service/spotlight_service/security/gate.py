@@ -83,8 +83,9 @@ class Gate:
                 status = message["status"]
                 own = {name for name, _ in message["headers"]}
                 extra = {**HEADERS, "x-request-id": request}
-                if scope["path"].startswith(("/v1", "/v2", "/metrics")):
-                    extra["cache-control"] = "no-store"
+                private = scope["path"].startswith(("/v1", "/v2", "/metrics"))
+                # The page is asked for anew each time: an old script knows no new service.
+                extra["cache-control"] = "no-store" if private else "no-cache"
                 message["headers"] = [
                     *message["headers"],
                     *((k.encode(), v.encode()) for k, v in extra.items() if k.encode() not in own),

@@ -12,6 +12,7 @@
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.geometry.lights import Light
 from spotlight_runtime.imaging.images import read_image, write_image
+from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.relighting.guides import GuidingShadow
 from spotlight_runtime.relighting.relighter import Relighter
@@ -33,4 +34,5 @@ __all__ = [
     "Window",
     "read_image",
     "write_image",
+    "write_picture",
 ]

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from spotlight_runtime import Relighter, RelightOptions, Scene, read_image, write_image
 from spotlight_runtime.cli import app, main
 from spotlight_runtime.errors import SpotLightError
+from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
 from spotlight_runtime.imaging.images import write_exr_layers
 
 
@@ -67,7 +68,7 @@ def test_writes_the_picture_the_library_makes(here, tmp_path, negative):
     extra = ["--negative", f"{negative}.png"] if negative else []
     done = relight(*extra, output=out)
     assert done.exit_code == 0, done.output
-    np.testing.assert_array_equal(read_image(out), expected(here, negative))
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(expected(here, negative)))
 
 
 def test_negative_none_is_the_default(here, tmp_path):
@@ -94,7 +95,8 @@ def test_every_option_reaches_the_relighter(here, tmp_path):
     }
     written = json.loads(report.read_text())
     assert written["options"].items() >= options.items()
-    np.testing.assert_array_equal(read_image(tmp_path / "out.exr"), expected(here, **options))
+    wanted = srgb_to_linear(expected(here, **options))
+    np.testing.assert_array_equal(read_image(tmp_path / "out.exr"), wanted)
 
 
 def test_report_names_scene_output_model_and_costs(here, tmp_path):
@@ -113,7 +115,18 @@ def test_report_names_scene_output_model_and_costs(here, tmp_path):
 def test_low_memory_gives_the_same_picture(here, tmp_path):
     assert relight("--low-memory", output=tmp_path / "a.exr").exit_code == 0
     got = read_image(tmp_path / "a.exr")
-    np.testing.assert_allclose(got, expected(here), atol=1e-5)
+    np.testing.assert_allclose(got, srgb_to_linear(expected(here)), atol=1e-5)
+
+
+@pytest.mark.parametrize("preview", [[], ["--preview"]])
+def test_linear_light_is_the_png_within_its_rounding(here, tmp_path, preview):
+    for name in ("out.exr", "out.hdr", "out.png"):
+        assert relight(*preview, output=tmp_path / name).exit_code == 0
+    encoded = read_image(tmp_path / "out.png")
+    linear = read_image(tmp_path / "out.exr")
+    np.testing.assert_allclose(linear_to_srgb(linear), encoded, atol=0.5 / 255 + 1e-6)
+    # Radiance shares eight bits among the channels of a pixel.
+    np.testing.assert_allclose(read_image(tmp_path / "out.hdr"), linear, atol=1 / 128)
 
 
 @pytest.mark.parametrize("name", ["out.png", "out.jpg", "out.webp", "out.exr", "a[/b].png"])
@@ -142,7 +155,8 @@ def test_shadow_in_any_form(here, tmp_path, form):
         write_exr_layers(path, {"": np.dstack([grey, np.ones_like(grey)])})
     done = relight(shadow=str(path), output=tmp_path / "out.exr")
     assert done.exit_code == 0, done.output
-    np.testing.assert_allclose(read_image(tmp_path / "out.exr"), expected(here), atol=1e-4)
+    wanted = srgb_to_linear(expected(here))
+    np.testing.assert_allclose(read_image(tmp_path / "out.exr"), wanted, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from spotlight_runtime import GuidingShadow, Light, Relighter, Scene, read_image
 from spotlight_runtime.cli import app
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError, ShadowWarning, SpotLightError
+from spotlight_runtime.imaging.colour import srgb_to_linear
 from spotlight_runtime.relighting.preview import preview
 from spotlight_runtime.relighting.sweep import CAPTION, GAP
 
@@ -68,14 +69,14 @@ def test_a_ready_light_by_its_name(here, tmp_path, relighter):
     done("--light", "0001", output=out)
     ready = [read_grey(f"ball/shadow_{kind}_0001.png") for kind in ("positive", "negative")]
     wanted = relighter.relight(Scene.load("ball"), *ready, denoise=False)
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
     done("--light", "0001", "--negative", "none", output=out)
     wanted = relighter.relight(Scene.load("ball"), ready[0], denoise=False)
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
     done("--light", "0000", "--negative", "left.png", output=out)
     pair = read_grey("ball/shadow_positive_0000.png"), read_grey("left.png")
     wanted = relighter.relight(Scene.load("ball"), *pair, denoise=False)
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
 
 
 def test_several_lights_from_json(here, tmp_path, relighter):
@@ -86,7 +87,7 @@ def test_several_lights_from_json(here, tmp_path, relighter):
         GuidingShadow(read_grey("right.png")),
     ]
     wanted = relighter.relight(Scene.load("ball"), guides, denoise=False)
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
     assert json.loads(report.read_text())["lights"] == 2
     together = (2 * guides[0].positive + guides[1].positive) / 3
     np.testing.assert_allclose(read_image(shadow)[..., 0], together, atol=1e-6)
@@ -127,7 +128,7 @@ def test_preview_needs_no_model(here, tmp_path):
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     wanted = preview(Scene.load("ball"), read_grey("left.png"))
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
     np.testing.assert_array_equal(read_image(shadow), read_grey("left.png"))
     assert json.loads(report.read_text())["preview"] is True
     assert "preview" in result.output
@@ -214,7 +215,7 @@ def test_light_by_its_place(cast, tmp_path, monkeypatch, relighter, extra, light
     out = tmp_path / "out.exr"
     done("--azimuth", 20, *extra, scene="scene", output=out)
     wanted = relighter.relight(Scene.load("scene"), light, denoise=False)
-    np.testing.assert_array_equal(read_image(out), wanted.image)
+    np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
 
 
 def test_negative_of_a_light(cast, tmp_path, monkeypatch, relighter):
@@ -226,7 +227,7 @@ def test_negative_of_a_light(cast, tmp_path, monkeypatch, relighter):
         done("--azimuth", 20, "--negative", negative, scene="scene", output=out)
         given = read_image(negative) if negative.endswith("png") else negative
         wanted = relighter.relight(scene, light, given, denoise=False)
-        np.testing.assert_array_equal(read_image(out), wanted.image)
+        np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
 
 
 def test_sweep_casts_where_no_shadows_lie_ready(cast, tmp_path, monkeypatch):

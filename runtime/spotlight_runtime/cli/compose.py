@@ -35,7 +35,8 @@ from spotlight_runtime.composing.product import Product
 from spotlight_runtime.composing.product_files import PRODUCT_SUFFIXES, load_product
 from spotlight_runtime.errors import InvalidInputError, MissingMapError
 from spotlight_runtime.geometry.camera import DEFAULT_FIELD_OF_VIEW, Camera
-from spotlight_runtime.imaging.images import check_target, write_image
+from spotlight_runtime.imaging.images import check_target
+from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.networks.models import open_networks, resolve_model
 from spotlight_runtime.networks.sessions import Network
 from spotlight_runtime.scenes.bundle import save_bundle
@@ -188,7 +189,7 @@ def compose(
         look = aside.submit(draft, scene)
         detail = DETAIL_SIDE if guessed else None
         save_bundle(scene, output, photograph=photograph.file, working_side=detail)
-    write_image(output / "preview.png" if preview is None else preview, look.result())
+    write_picture(output / "preview.png" if preview is None else preview, look.result())
     print(f"{output}: {_account(backdrop, scene)}", file=sys.stderr)
 
 

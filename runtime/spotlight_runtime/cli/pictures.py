@@ -11,7 +11,7 @@ from typing import Any
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.cli.lighting import Lighting
 from spotlight_runtime.cli.progress import drained, progress_bars
-from spotlight_runtime.imaging.images import write_image
+from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.relighting.guides import GuidingShadow
 from spotlight_runtime.relighting.mixing import Mix
 from spotlight_runtime.relighting.preview import preview, preview_each
@@ -92,7 +92,7 @@ def write_sheet(
         tiles.append(make_tile(picture.image, shadow, mask, caption))
         reports.append({"light": caption, **picture.report})
         summary = picture.summary
-    write_image(output, contact_sheet(tiles))
+    write_picture(output, contact_sheet(tiles))
     if animation is not None:
         write_animation(animation, [tile.picture for tile in tiles])
     return {"pictures": reports}, f"{len(tiles)} lights; the last: {summary}"

@@ -14,6 +14,7 @@ from spotlight_runtime.cli.pictures import relit, shadow_of, sketches, write_she
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.imaging.images import check_target, write_image
+from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.relighting.relighter import Relighter
 from spotlight_runtime.relighting.sweep import check_animation
 from spotlight_runtime.relighting.tasks import check_wishes
@@ -26,7 +27,10 @@ __all__ = ["relight"]
 def relight(
     scene: a.SceneFolder,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Picture to write (.png .jpg .webp .exr .hdr).")
+        Path,
+        typer.Option(
+            "-o", "--output", help="Picture to write: .png .jpg .webp, or .exr .hdr (linear light)."
+        ),
     ],
     azimuth: a.Azimuth = None,
     shadow: a.Shadow = None,
@@ -151,7 +155,7 @@ def relight(
             facts, summary = write_sheet(pictures, mask, captions, output, animation)
         else:
             (picture,) = pictures
-            write_image(output, picture.image)
+            write_picture(output, picture.image)
             if shadow_out is not None:
                 write_image(shadow_out, shadow_of(picture.guides))
             facts, summary = picture.report, picture.summary

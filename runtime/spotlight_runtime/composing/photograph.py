@@ -17,6 +17,7 @@ from spotlight_runtime.imaging.colour import stored_to_linear
 from spotlight_runtime.imaging.decoding import decode_pixels, read_bytes
 from spotlight_runtime.imaging.headers import ImageHeader, read_header
 from spotlight_runtime.imaging.images import read_image
+from spotlight_runtime.imaging.picture_files import LINEAR_SUFFIXES
 
 __all__ = [
     "Photograph",
@@ -35,7 +36,6 @@ FRAME_DIAGONAL: Final = math.hypot(36.0, 24.0)
 BRIGHT_SHARE: Final = 95.0
 """Percentile of a linear picture that `expose` makes bright, so that only highlights clip."""
 BRIGHT_VALUE: Final = 0.9
-LINEAR_SUFFIXES: Final = {".hdr", ".exr"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

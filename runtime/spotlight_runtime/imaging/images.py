@@ -115,7 +115,9 @@ def read_exr_layers(path: Path) -> dict[str, FloatArray]:
 
 
 def write_image(path: str | Path, image: FloatArray, *, bits: int = 8, quality: int = 95) -> None:
-    """Write an image file; values are stored as they are encoded.
+    """Write an image file; values are stored as they are encoded, whatever the format.
+
+    For maps and shadows; a finished picture goes by `picture_files.write_picture`.
 
     Parameters
     ----------

@@ -19,8 +19,9 @@ from spotlight_runtime import Scene, read_image
 from spotlight_runtime.cli.demo import SCENES
 from spotlight_runtime.composing.compose import draft
 from spotlight_runtime.errors import ShadowWarning, SpotLightError
-from spotlight_runtime.imaging.colour import linear_to_srgb, srgb_to_linear
-from spotlight_runtime.imaging.images import encode_png, write_exr_layers, write_image
+from spotlight_runtime.imaging.colour import linear_to_srgb
+from spotlight_runtime.imaging.images import encode_png, write_image
+from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.relighting.casting import caster_of, megapixel
 from spotlight_runtime.relighting.guides import Guide
 from spotlight_runtime.relighting.preview import preview
@@ -130,11 +131,9 @@ class Studio:
     def convert(self, picture: str, pixels: str, suffix: str, scratch: str) -> Answer:
         """A result in another format; EXR is linear, the others as the PNG."""
         target = Path(scratch) / f"result{suffix}"
-        if suffix == ".exr":
-            encoded = np.load(pixels, allow_pickle=False).astype(np.float32)
-            write_exr_layers(target, {"": srgb_to_linear(encoded).astype(np.float16)})
-        else:
-            write_image(target, read_image(picture), quality=QUALITY)
+        exact = suffix == ".exr"  # the others hold no more than the PNG
+        encoded = np.load(pixels, allow_pickle=False) if exact else read_image(picture)
+        write_picture(target, encoded, quality=QUALITY)
         return {}, target.read_bytes()
 
     def _stored(self, made: Path, digest: str, summary: str) -> Answer:

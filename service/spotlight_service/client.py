@@ -238,16 +238,17 @@ class Client:
                 elif name == "data":
                     yield Event(kind, json.loads(value))
 
-    def result(self, job: Job | str, form: Format = "png") -> bytes:
-        """The picture of a job that is done.
+    def result(self, job: Job | str, form: Format = "png", light: int | None = None) -> bytes:
+        """The picture of a job that is done; of a sweep the sheet, or one light's picture.
 
         Raises
         ------
         ServiceError
-            409 if it is not done.
+            409 if it is not done, 404 if it has no such light.
         """
         headers = {"Accept": f"image/{form}"}
-        return self._asked("GET", f"/v1/jobs/{_id(job)}/result", headers=headers).content
+        query = "" if light is None else f"?light={light}"
+        return self._asked("GET", f"/v1/jobs/{_id(job)}/result{query}", headers=headers).content
 
     def report(self, job: Job | str) -> dict[str, Any]:
         """How the picture came about."""

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from spotlight_service.plans import PlanName
 
-__all__ = ["PLANNED", "DrawnLight", "PlacedLight", "RelightRequest", "ShadowRequest"]
+__all__ = ["MOST_LIGHTS", "PLANNED", "DrawnLight", "PlacedLight", "RelightRequest", "ShadowRequest"]
 
 
 MOST_LIGHTS: Final = 16

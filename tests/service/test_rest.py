@@ -107,6 +107,19 @@ def test_a_sweep_is_a_contact_sheet(client, scene):
     assert len(client.report(job)["pictures"]) == 3
 
 
+def test_each_picture_of_a_sweep_is_what_its_light_makes(client, scene):
+    lights = [{"azimuth": a, "elevation": 45} for a in (0, 90)]
+    job = client.wait(client.relight(scene, lights, model="tiny", sweep=True))
+    alone = client.wait(client.relight(scene, lights[1:], model="tiny"))
+    assert client.result(job, light=1) == client.result(alone)
+    assert client.result(job, "x-exr", light=1) == client.result(alone, "x-exr")
+    for asked, light, expected in ((job, 2, "0 to 1"), (alone, 0, "none")):
+        with pytest.raises(ServiceError) as told:
+            client.result(asked, light=light)
+        assert told.value.status == 404
+        assert told.value.problem["errors"][0]["expected"] == expected
+
+
 def test_sketches_follow_the_light(client, scene, drawing):
     right = decoded(client.sketch(scene, [{"azimuth": 0, "elevation": 30}], "shadow"))
     left = decoded(client.sketch(scene, [{"azimuth": 180, "elevation": 30}], "shadow"))

@@ -14,7 +14,7 @@ from sse_starlette import EventSourceResponse
 from spotlight_service.api.common import CallerHere, Here, JobId, asked, own_job, problems
 from spotlight_service.api.events import job_events
 from spotlight_service.problems import FieldError, ProblemError
-from spotlight_service.schemas import RelightRequest
+from spotlight_service.schemas import MOST_LIGHTS, RelightRequest
 from spotlight_service.serving import Service
 from spotlight_service.storage.records import Job
 from spotlight_service.submission import submit
@@ -130,10 +130,19 @@ async def get_result(
     accept: Annotated[
         str | None, Header(max_length=500, description="PNG, JPEG, WebP, or EXR (linear).")
     ] = None,
+    light: Annotated[
+        int | None,
+        Query(ge=0, lt=MOST_LIGHTS, description="Of a sweep: this light's picture, not the sheet."),
+    ] = None,
 ) -> Response:
     """The picture of a job of yours that is done."""
     suffix = _suffix(accept)
-    return await _picture(service, own_job(service, caller, job), suffix, {})
+    found = own_job(service, caller, job)
+    _done(found)
+    if light is not None and not service.files.picture(job, light).is_file():
+        known = f"0 to {len(found.request['lights']) - 1}" if found.request["sweep"] else "none"
+        raise FieldError("light", known, str(light), status=404)
+    return await _picture(service, found, suffix, {}, light)
 
 
 @router.get("/jobs/{job}/report", response_model=dict[str, Any], responses=problems(409))
@@ -194,21 +203,23 @@ async def _waited(
     return waiting.result() if waiting.done() and not waiting.cancelled() else job
 
 
-async def _picture(service: Service, job: Job, suffix: str, headers: dict[str, str]) -> Response:
-    _done(job)
+async def _picture(
+    service: Service, job: Job, suffix: str, headers: dict[str, str], light: int | None = None
+) -> Response:
     kind = next(kind for kind, s in FORMATS.items() if s == suffix)
+    query, part = ("", "") if light is None else (f"?light={light}", f"-{light}")
     headers = {
         **headers,
         "Spotlight-Request": job.digest,
         "Spotlight-Job": job.id,
-        "Content-Location": f"/v1/jobs/{job.id}/result",
-        "Content-Disposition": f'inline; filename="spotlight-{job.id[:8]}{suffix}"',
+        "Content-Location": f"/v1/jobs/{job.id}/result{query}",
+        "Content-Disposition": f'inline; filename="spotlight-{job.id[:8]}{part}{suffix}"',
         "Vary": "Accept",
     }
-    path = service.files.picture(job.id)
+    path = service.files.picture(job.id, light)
     if suffix == ".png":
         return FileResponse(path, media_type=kind, headers=headers)
-    pixels = str(service.files.pixels(job.id))
+    pixels = str(service.files.pixels(job.id, light))
     _, data = await asked(
         service.sketches, "convert", picture=str(path), pixels=pixels, suffix=suffix
     )

@@ -22,7 +22,7 @@ from spotlight_service.lighting import caption, guides_of, negative_of
 from spotlight_service.problems import ProblemError, of_error
 from spotlight_service.storage.files import JobFiles
 from spotlight_service.storage.queue import WorkQueue
-from spotlight_service.storage.records import Claim
+from spotlight_service.storage.records import Claim, Job
 from spotlight_spec import replacing
 
 __all__ = ["Engine", "Stopping"]
@@ -122,7 +122,7 @@ class Engine:
         watcher = _Watcher(self, claim, stopping, task)
         watcher.check()
         if request["sweep"]:
-            image, report = self._sheet(watcher, task, scene.object_mask, request["lights"])
+            image, report = self._sheet(watcher, task, scene.object_mask, job)
         else:
             result = watcher.drain(self._relighter.start(task))
             image, report = result.image, result.report()
@@ -138,12 +138,14 @@ class Engine:
         }
 
     def _sheet(
-        self, watcher: _Watcher, task: Any, mask: FloatArray, lights: list[dict[str, Any]]
+        self, watcher: _Watcher, task: Any, mask: FloatArray, job: Job
     ) -> tuple[FloatArray, dict[str, Any]]:
+        lights = job.request["lights"]
         tiles: list[Tile] = []
         reports: list[dict[str, Any]] = []
         for each in self._relighter.start_each(task):
             if isinstance(each, RelightResult):
+                self._write(job.id, each.image, len(tiles))
                 text = caption(lights[len(tiles)], len(tiles))
                 tiles.append(make_tile(each.image, each.guides[0].positive, mask, text))
                 reports.append(each.report())
@@ -151,9 +153,9 @@ class Engine:
                 watcher.step(each)
         return contact_sheet(tiles), {**reports[0], "pictures": reports}
 
-    def _write(self, job: str, image: FloatArray) -> None:
-        self._files.write(self._files.picture(job), encode_png(image))
-        with replacing(self._files.pixels(job)) as partial, partial.open("wb") as file:
+    def _write(self, job: str, image: FloatArray, light: int | None = None) -> None:
+        self._files.write(self._files.picture(job, light), encode_png(image))
+        with replacing(self._files.pixels(job, light)) as partial, partial.open("wb") as file:
             np.save(file, image.astype(np.float16))
 
     @contextmanager

@@ -33,13 +33,13 @@ class JobFiles:
         """A drawn shadow the job came with; ``kind`` is ``shadow`` or ``negative``."""
         return self.root / job / f"{kind}-{number}.png"
 
-    def picture(self, job: str) -> Path:
-        """The result as PNG, eight bits."""
-        return self.root / job / "result.png"
+    def picture(self, job: str, light: int | None = None) -> Path:
+        """The result, or what one light of a sweep makes of the scene, as PNG, eight bits."""
+        return self.root / job / f"{_result(light)}.png"
 
-    def pixels(self, job: str) -> Path:
-        """The result as float16 array, sRGB-encoded: what formats with more than 8 bits need."""
-        return self.root / job / "result.npy"
+    def pixels(self, job: str, light: int | None = None) -> Path:
+        """The same as float16 array, sRGB-encoded: what formats with more than 8 bits need."""
+        return self.root / job / f"{_result(light)}.npy"
 
     def preview(self, job: str) -> Path:
         """The latest look at a job that runs."""
@@ -62,6 +62,10 @@ class JobFiles:
             for entry in os.scandir(self.root)
             if entry.name not in known and now - entry.stat().st_mtime > age
         ]
+
+
+def _result(light: int | None) -> str:
+    return "result" if light is None else f"result-{light}"
 
 
 def require_space(folder: Path, least: int) -> None:

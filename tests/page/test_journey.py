@@ -135,6 +135,15 @@ def test_scribble(visit, client, tmp_path):
     assert "shadow" in client.jobs()[0].facts["request"]["lights"][0]
     assert "Painted shadow" in page.locator("#history li").first.inner_text()
 
+    # Reload: the picture is here, and what was painted for it.
+    page.reload()
+    page.locator("#compare").wait_for()
+    assert page.get_by_role("radio", name="Paint its shadow").is_checked()
+    page.locator("#views").get_by_role("radio", name="Light").check()
+    page.locator("#sketch").wait_for()
+    again = shown(page, tmp_path, "#sketch")[rows, columns]
+    assert (again < 0.8 * plain[rows, columns]).mean() > 0.9
+
 
 def shown(page, folder, selector):
     """What an <img> shows, sRGB, at the picture's own size."""
@@ -195,6 +204,78 @@ def test_refusals_are_told_as_the_service_put_them(visit, tmp_path):
     assert page.get_by_role("button", name="Replace the photo").is_enabled()
 
 
+def test_what_is_painted_survives_a_reload_before_there_is_a_picture(visit):
+    page = visit()
+    take_sample(page, "Bench")
+    sketched(page, lambda: page.get_by_role("button", name="Add a light").click())
+    page.get_by_role("radio", name="Paint its shadow").check()
+    page.locator("#brush").focus()
+    sketched(page, lambda: page.keyboard.press("Space"))
+    inked = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data"
+    total = f"canvas => ({inked})(canvas).reduce((sum, value) => sum + value, 0)"
+    before = page.locator("#brush").evaluate(total)
+    assert before > 0
+    page.reload()
+    page.locator("#sketch").wait_for()
+    page.get_by_role("button", name="Light 2").click()
+    assert page.locator("#brush").evaluate(total) == before
+
+
+def test_a_light_as_far_away_as_the_sun(visit):
+    page = visit()
+    take_sample(page)
+    distance = page.locator("#placed-rows").get_by_label("Distance", exact=True)
+    assert distance.is_visible()
+    with page.expect_request(lambda request: request.url.endswith("/shadow")) as asked:
+        page.get_by_role("radio", name="Sun").check()
+    (light,) = asked.value.post_data_json["lights"]
+    assert (light["distance"], light["radius"]) == (None, 0.27)
+    assert distance.is_hidden()
+    softness = page.locator("#placed-rows").get_by_label("Softness, °")
+    with page.expect_request(lambda request: request.url.endswith("/shadow")) as asked:
+        softness.fill("5")
+        page.keyboard.press("Tab")
+    assert asked.value.post_data_json["lights"][0]["radius"] == 5
+    page.reload()
+    page.locator("#sketch").wait_for()
+    assert page.get_by_role("radio", name="Sun").is_checked()
+    assert float(softness.input_value()) == 5
+    with page.expect_request(lambda request: request.url.endswith("/shadow")) as asked:
+        page.get_by_role("radio", name="Lamp").check()
+    (light,) = asked.value.post_data_json["lights"]
+    assert (light["distance"], light["radius"]) == (10, 1)
+
+
+def test_a_sweep_is_leafed_through(visit, client):
+    lights = [{"azimuth": azimuth, "elevation": 45} for azimuth in (0, 90)]
+    scene = client.sample("goblet")
+    job = client.wait(client.relight(scene, lights, sweep=True, steps=2))
+    page = visit()
+    page.get_by_role("button", name="2 directions").first.click()
+    direction = page.get_by_role("slider", name="Direction")
+    direction.wait_for()
+    assert page.locator("#compare").is_hidden()
+    assert direction.get_attribute("aria-valuetext") == "All on a sheet"
+
+    direction.focus()
+    page.keyboard.press("End")
+    page.locator("#compare").wait_for()
+    assert direction.get_attribute("aria-valuetext") == "90°, behind"
+    divider = page.get_by_label("Share of the picture that shows before")
+    divider.fill("20")
+    direction.focus()
+    page.keyboard.press("ArrowLeft")
+    page.get_by_text("0°, right", exact=True).wait_for()
+    assert divider.input_value() == "20"
+    page.wait_for_function("document.querySelector('#after').naturalWidth === 256")
+    with page.expect_download() as picture_file:
+        page.get_by_role("button", name="Download picture").click()
+    assert picture_file.value.path().read_bytes() == client.result(job, light=0)
+    direction.focus()
+    page.keyboard.press("Home")
+    page.locator("#compare").wait_for(state="hidden")
+
+
 @pytest.mark.full
 def test_eight_directions(visit, client):
     page = visit()
@@ -206,6 +287,7 @@ def test_eight_directions(visit, client):
     lights = client.jobs()[0].facts["request"]["lights"]
     assert [light["azimuth"] for light in lights] == [i * 45.0 for i in range(8)]
     assert "8 directions" in page.locator("#history li").first.inner_text()
+    assert page.get_by_role("slider", name="Direction").get_attribute("max") == "8"
 
 
 def test_the_forming_picture_lies_where_it_is_diffused(visit, client, tmp_path):

@@ -58,8 +58,9 @@ export const jobs = (limit = 50) => asJson(call(`/v1/jobs?limit=${limit}`)).then
 export const job = (id) => asJson(call(`/v1/jobs/${id}`));
 export const cancel = (id) => asJson(call(`/v1/jobs/${id}`, { method: "DELETE" }));
 export const report = (id) => asJson(call(`/v1/jobs/${id}/report`));
-export const result = (id, accept = "image/png") =>
-  asBlob(call(`/v1/jobs/${id}/result`, { headers: { Accept: accept } }));
+/** The picture of a job; of a sweep the sheet, or the picture of one light. */
+export const result = (id, accept = "image/png", light = null) =>
+  asBlob(call(`/v1/jobs/${id}/result${light === null ? "" : `?light=${light}`}`, { headers: { Accept: accept } }));
 
 /** Make a scene of form fields: `sample`, or `bundle`, or `photo`, `object` and where it stands. */
 export function makeScene(fields, signal) {

@@ -2,10 +2,15 @@
 
 import { LOWEST, HIGHEST } from "./dome.js";
 import { wrapped } from "./geometry.js";
-import { Painter, drawingOf } from "./painter.js";
+import { Painter, coverageOf, drawingOf } from "./painter.js";
+import * as store from "./store.js";
 import { byId, element, onRadio, setRadio, slider } from "./ui.js";
 
-const FIRST = { kind: "placed", azimuth: 135, elevation: 45, radius: 1, distance: 10, weight: 1, colour: "#ffffff" };
+const FIRST = {
+  kind: "placed", azimuth: 135, elevation: 45, radius: 1, distance: 10, weight: 1, colour: "#ffffff",
+  far: false, spread: 0.27, // infinitely far away, and then half the angle under which it is seen: the sun's
+};
+const DRAWINGS = "drawings"; // of IndexedDB
 const APART = 120; // degrees from the last light at which another is added
 
 export class Lights {
@@ -59,31 +64,47 @@ export class Lights {
 
   /** Lights of an earlier request; drawings are not kept by the service. */
   restore(entries) {
-    const placed = entries.filter((entry) => entry.azimuth !== undefined && entry.azimuth !== null);
-    if (!placed.length) return;
-    this.list = placed.slice(0, this.most).map((entry) => ({
-      ...FIRST,
-      azimuth: entry.azimuth, elevation: entry.elevation, radius: entry.radius,
-      distance: entry.distance ?? FIRST.distance, weight: entry.weight, colour: hexOf(entry.colour),
+    const known = entries.filter((entry) => entry.azimuth !== undefined && entry.azimuth !== null);
+    if (!known.length) return;
+    this.list = known.slice(0, this.most).map(({ azimuth, elevation, radius, distance, weight, colour }) => ({
+      ...FIRST, azimuth, elevation, weight, colour: hexOf(colour),
+      ...(distance === null ? { far: true, spread: radius } : { radius, distance }),
     }));
     this.chosen = 0;
     this.refresh();
   }
 
-  /** Placed lights in the way `restore` takes them. */
-  entries() {
-    const placed = this.list.filter((light) => light.kind === "placed");
-    return placed.map(({ sheet, ...light }) => ({ ...light, colour: linearOf(light.colour) }));
+  /** Keep them for a reload: facts where that is done at once, drawings where there is room. */
+  keep() {
+    const scene = this.scene?.id;
+    store.remember("lights", { scene, list: this.list.map(({ sheet, ...facts }) => facts) });
+    if (this.drawn) store.put(DRAWINGS, { scene, drawings: this.list.map(({ sheet }) => sheet && coverageOf(sheet)) });
+  }
+
+  /** What `keep` kept. */
+  static async kept() {
+    const { scene, list = [] } = store.recall("lights", {});
+    const drawn = list.some((light) => light.kind === "drawn") && (await store.get(DRAWINGS));
+    return { scene, list, drawings: drawn?.scene === scene ? drawn.drawings : [] };
+  }
+
+  /** Go on with what was kept, in the scene it was kept for. */
+  resume({ scene, list, drawings }) {
+    if (!list.length || this.scene?.id !== scene) return;
+    this.list = list.map((facts, i) => {
+      const light = { ...FIRST, ...facts };
+      if (light.kind === "drawn") light.sheet = Painter.sheet(this.scene, drawings[i]);
+      return light;
+    });
+    this.chosen = 0;
+    this.refresh();
   }
 
   /** As requests have them; drawings not begun are left out. */
   async request() {
     const made = await Promise.all(this.list.map(async (light) => {
       const mixed = { weight: light.weight, colour: linearOf(light.colour) };
-      if (light.kind === "placed") {
-        const { azimuth, elevation, radius, distance } = light;
-        return { azimuth, elevation, radius, distance, ...mixed };
-      }
+      if (light.kind === "placed") return { ...placed(light), ...mixed };
       return light.sheet.blank ? null : { shadow: await drawingOf(light.sheet), ...mixed };
     }));
     return made.filter(Boolean);
@@ -98,12 +119,18 @@ export class Lights {
       azimuth: slider({ label: "Azimuth", min: 0, max: 360, step: 1, value: 0, unit: "°", changed: bind("azimuth") }),
       elevation: slider({ label: "Elevation", min: LOWEST, max: HIGHEST, step: 1, value: 45, unit: "°", changed: bind("elevation") }),
       radius: slider({ label: "Softness", min: 0, max: 5, step: 0.05, value: 1, unit: "×", changed: bind("radius") }),
+      spread: slider({ label: "Softness", min: 0, max: 20, step: 0.01, value: 0.27, unit: "°", changed: bind("spread") }),
       distance: slider({ label: "Distance", min: 1, max: 30, step: 0.5, value: 10, unit: "×", changed: bind("distance") }),
       weight: slider({ label: "Weight", min: 0, max: 3, step: 0.05, value: 1, changed: bind("weight") }),
     };
-    const told = element("p", { className: "hint" }, "Softness is the light's size, in sizes of the object; so is its distance.");
-    const { azimuth, elevation, radius, distance, weight } = this.rows;
-    byId("placed-rows").append(...[azimuth, elevation, radius, distance].map((each) => each.row), told);
+    this.told = element("p", { className: "hint" });
+    const { azimuth, elevation, radius, spread, distance, weight } = this.rows;
+    byId("placed-rows").append(...[azimuth, elevation, radius, spread, distance].map((each) => each.row), this.told);
+    onRadio("reach", (reach) => {
+      this.light.far = reach === "far";
+      this.fill();
+      this.changed(true);
+    });
     this.colour = element("input", { type: "color", id: "light-colour", value: "#ffffff" });
     this.colour.addEventListener("input", () => { this.light.colour = this.colour.value; this.refresh(); this.changed(false); });
     this.colour.addEventListener("change", () => this.changed(true));
@@ -165,8 +192,20 @@ export class Lights {
 
   fill() {
     for (const [name, row] of Object.entries(this.rows)) row.set(this.light[name]);
+    const { far } = this.light;
+    setRadio("reach", far ? "far" : "near");
+    for (const name of ["radius", "distance"]) this.rows[name].row.hidden = far;
+    this.rows.spread.row.hidden = !far;
+    this.told.textContent = far
+      ? "Infinitely far away, its rays parallel. Softness is half its angle in the sky; the sun's is 0.27°."
+      : "Softness is the light's size, in sizes of the object; so is its distance.";
     this.colour.value = this.light.colour;
   }
+}
+
+/** A placed light as requests have it. */
+export function placed({ azimuth, elevation, far, spread, radius, distance }) {
+  return far ? { azimuth, elevation, radius: spread, distance: null } : { azimuth, elevation, radius, distance };
 }
 
 const channels = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);

@@ -5,23 +5,23 @@ import { Dome } from "./dome.js";
 import { bindDrops, bindKey, bindTheme } from "./frame.js";
 import { History } from "./history.js";
 import { Latest } from "./latest.js";
-import { Lights } from "./lights.js";
+import { Lights, placed } from "./lights.js";
 import { Painter } from "./painter.js";
 import { Run } from "./relight.js";
+import { Result } from "./result.js";
 import { SceneDesk, offerSamples } from "./scene.js";
 import { Settings } from "./settings.js";
 import * as store from "./store.js";
-import { byId, display, onRadio, radio, save, seconds, setRadio, slider, tell, toast } from "./ui.js";
+import { byId, display, onRadio, radio, seconds, setRadio, slider, tell, toast } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const QUICK_SIDE = 256; // pixels of a sketch while a light is dragged
 const FINE_SIDE = 768; // … and once it is let go
 const LOOK_AGAIN_MS = 2500; // at what the service says of itself, while it starts
 const LOOKS = 60;
-const SUFFIXES = { "image/png": "png", "image/jpeg": "jpg", "image/webp": "webp", "image/x-exr": "exr" };
 const DIRECTIONS = 8;
 
-const state = { scene: null, composed: false, result: null };
+const state = { scene: null, composed: false };
 
 const viewer = new Viewer();
 const lights = new Lights(lightsChanged);
@@ -30,6 +30,7 @@ const dome = new Dome(byId("dome"), (...moved) => lights.move(...moved), (index)
 const painter = new Painter(byId("brush"), byId("brush-ring"), () => lightsChanged(true));
 const desk = new SceneDesk({ entered, photo: showPhoto });
 const history = new History((job) => open(job).catch(tell));
+const result = new Result(viewer, () => show("result"));
 const run = new Run(viewer, { changed: (job) => history.put(job), done: finished, turned: predict });
 const sketches = new Latest(sketch, tell);
 
@@ -38,7 +39,7 @@ const sketches = new Latest(sketch, tell);
 async function entered(scene, composed) {
   const other = state.scene?.id !== scene.id;
   Object.assign(state, { scene, composed });
-  if (other) state.result = null;
+  if (other) result.forget();
   store.remember("scene", scene.id);
   byId("desk").dataset.scene = "there";
   byId("where").textContent = `${desk.title} · ${scene.width} × ${scene.height}`;
@@ -86,10 +87,11 @@ function clear() {
   viewer.approach(false);
   run.leave();
   sketches.drop();
-  Object.assign(state, { scene: null, composed: false, result: null });
+  Object.assign(state, { scene: null, composed: false });
+  result.forget();
   store.remember("scene", null);
   store.remember("job", null);
-  for (const id of ["picture", "stage-bar", "asking", "new-scene", "scene-group", "takeaway"]) byId(id).hidden = true;
+  for (const id of ["picture", "stage-bar", "asking", "new-scene", "scene-group", "takeaway", "turn"]) byId(id).hidden = true;
   byId("empty").hidden = false;
   byId("desk").dataset.scene = "none";
   byId("where").textContent = "";
@@ -105,7 +107,7 @@ function clear() {
 function lightsChanged(settled) {
   if (radio("view") !== "place") show(settled === null && radio("view") === "result" ? "result" : "light");
   dome.show(lights.list, lights.chosen);
-  if (settled) store.remember("lights", lights.entries());
+  if (settled) lights.keep();
   predict();
   if (settled !== null && state.scene) sketches.ask(settled);
 }
@@ -154,16 +156,18 @@ function show(view) {
   setRadio("view", view);
   const drawn = lights.light.kind === "drawn";
   const mode = view === "light" && drawn ? "paint" : view;
-  if (state.scene && (view !== "result" || !state.result || viewer.compares)) viewer.shape(state.scene.width, state.scene.height);
+  if (state.scene && (view !== "result" || !result.job || viewer.compares)) viewer.shape(state.scene.width, state.scene.height);
   if (mode === "paint" && state.scene) painter.open(lights.light.sheet);
-  viewer.mode(mode, { hasResult: state.result !== null, casts: state.scene?.casts });
+  viewer.mode(mode, { hasResult: result.job !== null, casts: state.scene?.casts });
   const input = document.querySelector('input[name="view"][value="result"]');
-  input.disabled = state.result === null;
-  byId("takeaway").hidden = view !== "result" || state.result === null;
+  input.disabled = result.job === null;
+  byId("takeaway").hidden = view !== "result" || !result.job;
+  byId("turn").hidden = byId("takeaway").hidden || !result.sweep;
   byId("stage-hint").textContent = view === "result" && !viewer.compares ? "" : HINTS[mode] || "";
 }
 
-async function open(job) {
+/** A job of before, with its lights or those that were `kept`. */
+async function open(job, kept = null) {
   if (state.scene?.id !== job.scene) {
     try {
       await desk.again(job.scene);
@@ -171,11 +175,13 @@ async function open(job) {
       toast("The scene of this picture is no longer kept. The picture itself is.", "note");
     }
   }
-  lights.restore(job.request.lights);
+  if (kept) lights.resume(kept);
+  else lights.restore(job.request.lights);
   settings.restore(job.request);
   history.mark(job.id);
   store.remember("job", job.id);
   if (job.state === "done") {
+    lights.keep();
     sketches.ask(true);
     await finished(job);
   } else {
@@ -185,25 +191,24 @@ async function open(job) {
 }
 
 async function finished(job) {
-  const blob = await api.result(job.id).catch(tell);
-  if (!blob) return;
-  const compares = !job.request.sweep && state.scene?.id === job.scene;
-  state.result = job;
+  try {
+    await result.open(job, state.scene?.id === job.scene);
+  } catch (error) {
+    return tell(error);
+  }
   byId("picture").hidden = false;
   byId("stage-bar").hidden = false;
   byId("empty").hidden = true;
-  await viewer.showResult(blob, { told: job.request.sweep ? "Contact sheet of all directions" : "The relit picture", compares });
   history.mark(job.id);
   store.remember("job", job.id);
   dome.show(lights.list, lights.chosen);
-  show("result");
+  return show("result");
 }
 
 // --- asking for pictures -----------------------------------------------------------------------
 
 function swept() {
-  const { azimuth, sheet, kind, ...light } = lights.light;
-  const request = { elevation: light.elevation, radius: light.radius, distance: light.distance };
+  const request = placed(lights.light);
   return Array.from({ length: DIRECTIONS }, (_, i) => ({ ...request, azimuth: (i * 360) / DIRECTIONS }));
 }
 
@@ -223,24 +228,6 @@ function predict() {
   byId("relight-seconds").textContent = about === null ? "" : `about ${seconds(about)}`;
   const sweep = settings.predicted(DIRECTIONS);
   byId("sweep").title = `One sheet with the light at eight azimuths${sweep === null ? "" : `, about ${seconds(sweep)}`}`;
-}
-
-async function download() {
-  const kind = byId("format").value;
-  try {
-    save(await api.result(state.result.id, kind), `spotlight-${state.result.id.slice(0, 8)}.${SUFFIXES[kind]}`);
-  } catch (error) {
-    tell(error);
-  }
-}
-
-async function downloadReport() {
-  try {
-    const text = JSON.stringify(await api.report(state.result.id), null, 2);
-    save(new Blob([text], { type: "application/json" }), `spotlight-${state.result.id.slice(0, 8)}.json`);
-  } catch (error) {
-    tell(error);
-  }
 }
 
 // --- the service ----------------------------------------------------------------------------------
@@ -263,15 +250,17 @@ async function follow() {
 }
 
 async function resume() {
+  const kept = await Lights.kept(); // before anything is kept anew
   const jobs = await history.load();
   const live = jobs.find((job) => ["running", "queued"].includes(job.state));
   const last = live || jobs.find((job) => job.id === store.recall("job") && job.state === "done");
   const scene = store.recall("scene");
   try {
-    if (last && (live || last.scene === scene)) await open(last);
+    if (last && (live || last.scene === scene)) await open(last, kept.scene === last.scene ? kept : null);
     else if (scene) {
-      lights.restore(store.recall("lights", []));
       await desk.again(scene);
+      lights.resume(kept);
+      lightsChanged(true);
     }
   } catch (error) {
     if (error.status !== 404) tell(error);
@@ -282,8 +271,6 @@ async function resume() {
 onRadio("view", show);
 byId("relight").addEventListener("click", () => ask(false));
 byId("sweep").addEventListener("click", () => ask(true));
-byId("download").addEventListener("click", download);
-byId("download-report").addEventListener("click", downloadReport);
 byId("new-scene").addEventListener("click", startOver);
 bindPainter();
 bindDrops((files) => desk.take(files));

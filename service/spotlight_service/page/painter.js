@@ -26,11 +26,14 @@ export class Painter {
     this.listen();
   }
 
-  /** Sheets hold one drawing each, with what undoes it. */
-  static sheet(scene) {
+  /** Sheets hold one drawing each, with what undoes it; one may begin with what `coverageOf` gave. */
+  static sheet(scene, coverage = null) {
     const shrink = Math.min(1, MOST_SIDE / Math.max(scene.width, scene.height));
     const size = [Math.round(scene.width * shrink), Math.round(scene.height * shrink)];
-    return { size, pixels: null, past: [], blank: true };
+    if (coverage?.length !== size[0] * size[1]) return { size, pixels: null, past: [], blank: true };
+    const pixels = new ImageData(...size);
+    for (let i = 0; i < coverage.length; i++) pixels.data[4 * i + 3] = coverage[i];
+    return { size, pixels, past: [], blank: false };
   }
 
   /** Work on a sheet. */
@@ -157,6 +160,15 @@ export class Painter {
     event.preventDefault();
     this.showRing();
   }
+}
+
+/** How dark each pixel of a sheet is, 0 to 255; null of a blank one. */
+export function coverageOf(sheet) {
+  if (sheet.blank) return null;
+  const { data } = sheet.pixels;
+  const coverage = new Uint8Array(data.length / 4);
+  for (let i = 0; i < coverage.length; i++) coverage[i] = data[4 * i + 3];
+  return coverage;
 }
 
 /** A sheet as the service takes it: white shadow on black, as a data: URL. */

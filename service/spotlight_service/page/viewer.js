@@ -71,13 +71,13 @@ export class Viewer {
     this.sketch.hidden = true;
   }
 
-  /** A finished picture; beside the scene's it can be compared, a contact sheet cannot. */
-  async showResult(blob, { told, compares }) {
+  /** A finished picture; beside the scene's it can be compared, a contact sheet cannot. `another` job's? */
+  async showResult(blob, { told, compares, another }) {
     await display(this.after, blob);
     this.after.alt = told;
     this.compares = compares;
     if (!compares) this.shape(this.after.naturalWidth, this.after.naturalHeight);
-    this.divider.value = 50 * (this.box[0] + this.box[2]); // over the object
+    if (another) this.divider.value = 50 * (this.box[0] + this.box[2]); // over the object
     this.divide();
   }
 

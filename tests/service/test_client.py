@@ -106,6 +106,7 @@ def test_a_full_queue_says_when_to_come_back(client, scene):
 def test_the_inference_protocol(server):
     get = lambda path: httpx.get(server.address + path)  # noqa: E731
     assert get("/v2").json()["name"] == "spotlight-serve"
+    assert get("/v2/models").json() == {"models": ["tiny", "broken", "mini"]}
     assert get("/v2/models/tiny").json()["inputs"][0]["datatype"] == "BYTES"
     assert get("/v2/models/tiny/ready").json() == {"name": "tiny", "ready": True}
     assert get("/v2/health/live").json() == {"live": True}

@@ -42,6 +42,12 @@ async def ready(service: Here, response: Response) -> dict[str, bool]:
     return {"ready": True}
 
 
+@router.get("/models", responses=problems())
+async def list_models(service: Here) -> dict[str, list[str]]:
+    """Names of the models, as servers of the protocol list them."""
+    return {"models": list(service.settings.models)}
+
+
 @router.get("/models/{model}", responses=problems())
 async def model_metadata(model: Model, service: Here) -> dict[str, Any]:
     """What a model takes and gives: the request of POST /v1/relight, and a picture."""

@@ -261,6 +261,8 @@ def test_a_sweep_is_leafed_through(visit, client):
     page.keyboard.press("End")
     page.locator("#compare").wait_for()
     assert direction.get_attribute("aria-valuetext") == "90°, behind"
+    assert value(page, "Azimuth") == 90  # where a relight would go on
+    assert page.locator(".lamp").count() == 1
     divider = page.get_by_label("Share of the picture that shows before")
     divider.fill("20")
     direction.focus()

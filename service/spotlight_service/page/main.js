@@ -30,7 +30,7 @@ const dome = new Dome(byId("dome"), (...moved) => lights.move(...moved), (index)
 const painter = new Painter(byId("brush"), byId("brush-ring"), () => lightsChanged(true));
 const desk = new SceneDesk({ entered, photo: showPhoto });
 const history = new History((job) => open(job).catch(tell));
-const result = new Result(viewer, () => show("result"));
+const result = new Result(viewer, turned);
 const run = new Run(viewer, { changed: (job) => history.put(job), done: finished, turned: predict });
 const sketches = new Latest(sketch, tell);
 
@@ -163,7 +163,7 @@ function show(view) {
   input.disabled = result.job === null;
   byId("takeaway").hidden = view !== "result" || !result.job;
   byId("turn").hidden = byId("takeaway").hidden || !result.sweep;
-  byId("stage-hint").textContent = view === "result" && !viewer.compares ? "" : HINTS[mode] || "";
+  byId("stage-hint").textContent = view === "result" && (!viewer.compares || result.sweep) ? "" : HINTS[mode] || "";
 }
 
 /** A job of before, with its lights or those that were `kept`. */
@@ -176,7 +176,7 @@ async function open(job, kept = null) {
     }
   }
   if (kept) lights.resume(kept);
-  else lights.restore(job.request.lights);
+  else lights.restore(job.request.sweep ? job.request.lights.slice(0, 1) : job.request.lights);
   settings.restore(job.request);
   history.mark(job.id);
   store.remember("job", job.id);
@@ -203,6 +203,15 @@ async function finished(job) {
   store.remember("job", job.id);
   dome.show(lights.list, lights.chosen);
   return show("result");
+}
+
+/** Another picture of a sweep is shown: the light is where it was for this one. */
+function turned(light) {
+  show("result");
+  if (light?.azimuth === undefined || lights.light.kind !== "placed") return;
+  lights.move(lights.chosen, light.azimuth, light.elevation, null);
+  lights.keep();
+  sketches.ask(true);
 }
 
 // --- asking for pictures -----------------------------------------------------------------------

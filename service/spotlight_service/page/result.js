@@ -10,7 +10,7 @@ const SUFFIXES = { "image/png": "png", "image/jpeg": "jpg", "image/webp": "webp"
 export class Result {
   /**
    * @param {import("./viewer.js").Viewer} viewer
-   * @param {() => void} shown called when another picture of a sweep is shown
+   * @param {(light: ?object) => void} shown called with the light whose picture of a sweep is shown
    */
   constructor(viewer, shown) {
     this.viewer = viewer;
@@ -65,7 +65,7 @@ export class Result {
     }
     this.light = light;
     await this.show(this.kept.get(light));
-    this.shown();
+    this.shown(light === null ? null : job.request.lights[light]);
   }
 
   /** One that is no longer there: what is shown stays. */

@@ -208,7 +208,7 @@ async function finished(job) {
 /** Another picture of a sweep is shown: the light is where it was for this one. */
 function turned(light) {
   show("result");
-  if (light?.azimuth === undefined || lights.light.kind !== "placed") return;
+  if (!Number.isFinite(light?.azimuth) || lights.light.kind !== "placed") return;
   lights.move(lights.chosen, light.azimuth, light.elevation, null);
   lights.keep();
   sketches.ask(true);

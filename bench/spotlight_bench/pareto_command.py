@@ -96,7 +96,8 @@ def pareto(
     opened = [Backbone.load(name, threads) for name in model or ["mini"]]
     names = tuple(backbone.facts["name"] for backbone in opened)
     own_steps = opened[0].spec.schedule.steps
-    chosen = candidates(QUICK if quick else FULL, own_steps, names)
+    reusing = [each.facts["name"] for each in opened if "denoiser_shallow" in each.networks]
+    chosen = candidates(QUICK if quick else FULL, own_steps, names, reusing)
     backbones = dict(zip(names, opened))
     run = _Run(backbones, RelightOptions(), output, resume)
     size = _or(scenes, QUICK_SCENES if quick else SCENES)

@@ -1,13 +1,15 @@
 """What the sweep sweeps: every combination of savings that is one of its own.
 
 The axes are those of `RelightOptions` that trade accuracy for time: solver, steps, steps in which
-the branches are contrasted, steps of the pass without shadow, window. Combinations that come to
-the same plan (half of two steps and half of three, rounded) are one candidate.
+the branches are contrasted, steps of the pass without shadow, steps that share deep features,
+window. Combinations that come to the same plan (half of two steps and half of three, rounded) are
+one candidate. Guidance in some steps is the dearest saving, and is not combined with shared
+features.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final
@@ -61,6 +63,8 @@ class Grid:
     plain : tuple of float
         Steps of the pass without shadow, as shares of the steps.
     windows : tuple of str
+    reuses : tuple of int
+        In one of how many steps the whole denoiser is evaluated.
     """
 
     solvers: tuple[str, ...]
@@ -68,6 +72,7 @@ class Grid:
     intervals: tuple[tuple[float, float], ...]
     plain: tuple[float, ...]
     windows: tuple[str, ...]
+    reuses: tuple[int, ...] = (1,)
 
 
 FULL: Final = Grid(
@@ -76,6 +81,7 @@ FULL: Final = Grid(
     intervals=((0.0, 1.0), (0.0, 0.5), (0.5, 1.0)),
     plain=(1.0, 0.5, 0.25),
     windows=("auto", "tight"),
+    reuses=(1, 2, 3),
 )
 QUICK: Final = Grid(
     solvers=("ddim", "unipc"),
@@ -83,10 +89,13 @@ QUICK: Final = Grid(
     intervals=((0.0, 1.0), (0.0, 0.5)),
     plain=(1.0, 0.5),
     windows=("auto",),
+    reuses=(1, 3),
 )
 
 
-def candidates(grid: Grid, own_steps: int, models: tuple[str, ...]) -> tuple[Candidate, ...]:
+def candidates(
+    grid: Grid, own_steps: int, models: tuple[str, ...], reusing: Collection[str] = ()
+) -> tuple[Candidate, ...]:
     """The exact plan and every saving of the grid, on every model.
 
     Parameters
@@ -96,6 +105,8 @@ def candidates(grid: Grid, own_steps: int, models: tuple[str, ...]) -> tuple[Can
         The backbone's usual number of steps; more are left out.
     models : tuple of str
         The first is what the others are held against; it has the plain names.
+    reusing : collection of str
+        Those of them that can share deep features between steps.
 
     Returns
     -------
@@ -116,21 +127,24 @@ def candidates(grid: Grid, own_steps: int, models: tuple[str, ...]) -> tuple[Can
         if model != models[0]:
             found.append(Candidate(f"{model}:{EXACT}", {}, model))
         prefix = "" if model == models[0] else f"{model}:"
-        found += [Candidate(prefix + name, o, model) for name, o in _savings(grid, own_steps)]
+        swept = grid if model in reusing else replace(grid, reuses=(1,))
+        found += [Candidate(prefix + name, o, model) for name, o in _savings(swept, own_steps)]
     return tuple(found)
 
 
 def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    seen = {("ddim", own_steps, 0, own_steps, own_steps, "auto")}
-    axes = (grid.solvers, grid.steps, grid.intervals, grid.plain, grid.windows)
-    for solver, steps, interval, share, window in product(*axes):
+    seen = {("ddim", own_steps, 0, own_steps, own_steps, "auto", 1)}
+    axes = (grid.solvers, grid.steps, grid.intervals, grid.plain, grid.windows, grid.reuses)
+    for solver, steps, interval, share, window, every in product(*axes):
         first, last = (round(end * steps) for end in interval)
         plain = max(1, round(share * steps))
-        key = (solver, steps, first, last, plain, window)
+        reuse = min(every, steps)
+        key = (solver, steps, first, last, plain, window, reuse)
         # Contrasted in no step at all, the light would not steer the object's shading.
         unguided = first >= last
         another = solver != "ddim" and steps == 1  # all solvers take one step alike
-        if steps > own_steps or unguided or another or key in seen:
+        both = reuse > 1 and (first, last) != (0, steps)
+        if steps > own_steps or unguided or another or both or key in seen:
             continue
         seen.add(key)
         options: dict[str, Any] = {"solver": solver, "steps": steps}
@@ -142,6 +156,9 @@ def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]
         if plain != steps:
             options["plain_steps"] = plain
             name += f"-p{plain}"
+        if reuse > 1:
+            options["reuse"] = reuse
+            name += f"-r{reuse}"
         if window != "auto":
             options["window"] = window
             name += f"-{window}"

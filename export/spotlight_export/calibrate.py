@@ -54,7 +54,8 @@ def observe_ranges(
     Parameters
     ----------
     sources : dict of Path
-        Float32 graph file of ``denoiser``, or of ``controlnet`` and ``unet``.
+        Float32 graph file of ``denoiser``, perhaps with ``denoiser_shallow``, or of ``controlnet``
+        and ``unet``.
     condition_encoder : Path
     spec : BackboneSpec
     report : callable
@@ -72,6 +73,8 @@ def observe_ranges(
         inputs = made_up_inputs(spec, LATENT_SIZE, np.random.default_rng(seed))
         condition = encode(conditioning=inputs.conditioning)["condition"]
         run_loop(networks, condition, inputs, spec)
+        if "denoiser_shallow" in networks:
+            run_loop(networks, condition, inputs, spec, reuse=2)
     return {name: network.ranges for name, network in networks.items()}
 
 

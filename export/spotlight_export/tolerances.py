@@ -11,7 +11,7 @@ from spotlight_spec import Precision
 
 __all__ = ["GRAPH_TOLERANCE", "INT8_GRAPHS", "LOOP_TOLERANCE", "graph_tolerance"]
 
-INT8_GRAPHS: Final = ("denoiser", "controlnet", "unet")
+INT8_GRAPHS: Final = ("denoiser", "denoiser_shallow", "controlnet", "unet")
 """Graphs whose arithmetic int8 changes; the others run once a relight and stay float32."""
 
 GRAPH_TOLERANCE: Final[dict[Precision, float]] = {

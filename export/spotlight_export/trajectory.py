@@ -76,7 +76,12 @@ def made_up_inputs(
 
 
 def run_loop(
-    networks: Networks, condition: FloatArray, inputs: LoopInputs, spec: BackboneSpec
+    networks: Networks,
+    condition: FloatArray,
+    inputs: LoopInputs,
+    spec: BackboneSpec,
+    *,
+    reuse: int = 1,
 ) -> FloatArray:
     """Latents after all steps of a relight.
 
@@ -88,12 +93,14 @@ def run_loop(
         Whatever those networks take as ``condition``, one a branch.
     inputs : LoopInputs
     spec : BackboneSpec
+    reuse : int
+        As `predictor` takes it.
 
     Returns
     -------
     ndarray of float32, shape (2, channels, height, width)
     """
-    predict = predictor(networks, condition, spec.schedule)
+    predict = predictor(networks, condition, spec.schedule, reuse=reuse)
     solver = DDIM(Schedule.trailing(spec.schedule, spec.schedule.steps))
     *_, last = shadow_guided(predict, inputs, solver)
     return last.latents

@@ -12,7 +12,11 @@ Whatever the backbone, inference needs the same four computations; only what hap
 ``vae_decoder``
     latents → image.
 
-A model may bring a fifth graph, ``intrinsics``: photograph → albedo, normals and depth, for
+A model may bring ``denoiser_shallow``, too: what of the denoiser runs at latent size. Its
+``denoiser`` then also returns ``deep``, what came up from below, and with that of an earlier step
+the shallow graph predicts alone.
+
+A model may bring ``intrinsics``: photograph → albedo, normals and depth, for
 pictures that come without maps.
 
 A ControlNet backbone can also be exported ``split``: the ``denoiser`` is then two graphs,
@@ -40,6 +44,7 @@ GraphName = Literal[
     "vae_decoder",
     "condition_encoder",
     "denoiser",
+    "denoiser_shallow",
     "controlnet",
     "unet",
     "intrinsics",
@@ -88,6 +93,7 @@ def graph_contracts(
     *,
     condition_channels: int,
     residual_channels: tuple[int, ...] = (),
+    deep_channels: int = 0,
 ) -> tuple[GraphContract, ...]:
     """Contracts of all graphs of a backbone.
 
@@ -100,6 +106,9 @@ def graph_contracts(
     residual_channels : tuple of int
         Channels of each ControlNet residual, in order, the mid block's last. Empty for the
         ``fused`` layout; given for the ``split`` one.
+    deep_channels : int
+        Channels of what comes up from below latent size in a ``fused`` denoiser; 0 where the model
+        brings no ``denoiser_shallow``.
 
     Returns
     -------
@@ -130,14 +139,25 @@ def graph_contracts(
         )
         for i, channels in enumerate(residual_channels)
     )
-    denoisers = (
-        (
+    denoisers: tuple[GraphContract, ...]
+    if residuals:
+        denoisers = (
             GraphContract("controlnet", (*noisy, condition), residuals),
             GraphContract("unet", (*noisy, *residuals), (prediction,)),
         )
-        if residuals
-        else (GraphContract("denoiser", (*noisy, condition), (prediction,)),)
-    )
+    elif deep_channels:
+        deep = TensorSpec(
+            "deep",
+            "float32",
+            ("batch", deep_channels, "latent_height", "latent_width"),
+            "features from below latent size, brought up to it",
+        )
+        denoisers = (
+            GraphContract("denoiser", (*noisy, condition), (prediction, deep)),
+            GraphContract("denoiser_shallow", (*noisy, condition, deep), (prediction,)),
+        )
+    else:
+        denoisers = (GraphContract("denoiser", (*noisy, condition), (prediction,)),)
     return (
         GraphContract(
             "vae_encoder",

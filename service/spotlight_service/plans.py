@@ -113,6 +113,8 @@ def _summary(rung: Rung) -> str:
     if "guidance_interval" in options:
         first, last = options["guidance_interval"]
         said.append(f"guidance from {first:.0%} to {last:.0%} of them")
+    if "reuse" in options:
+        said.append(f"the whole network in one of {options['reuse']}")
     return ", ".join(said)
 
 

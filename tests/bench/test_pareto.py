@@ -58,7 +58,7 @@ def swept(drawn):
 
 @pytest.mark.parametrize("grid", [FULL, QUICK])
 def test_candidates_are_valid_options_and_each_a_plan_of_its_own(grid):
-    found = candidates(grid, 20, ("mini", "mini-int8"))
+    found = candidates(grid, 20, ("mini", "mini-int8"), ("mini", "mini-int8"))
     assert found[0] == Candidate(EXACT, {}, "mini")
     assert len({each.name for each in found}) == len(found)
     plans = set()
@@ -68,9 +68,19 @@ def test_candidates_are_valid_options_and_each_a_plan_of_its_own(grid):
         guided = tuple(round(end * steps) for end in options.guidance_interval)
         assert guided[0] < guided[1]
         key = (each.model, options.solver, steps, guided, options.plain_steps or steps)
-        plans.add((*key, options.window))
+        plans.add((*key, options.window, options.reuse))
     assert len(plans) == len(found)
     assert sum(each.model == "mini" for each in found) == len(found) / 2
+
+
+def test_only_models_that_share_features_between_steps():
+    found = candidates(QUICK, 20, ("mini", "plain"), ("mini",))
+    sharing = [each for each in found if each.options.get("reuse", 1) > 1]
+    assert {each.model for each in sharing} == {"mini"}
+    names = {each.name: each.options for each in sharing}
+    assert names["unipc-12-p6-r3"]["reuse"] == 3
+    assert names["ddim-2-r2"]["reuse"] == 2, "no more than there are steps"
+    assert not any("guidance_interval" in options for options in names.values())
 
 
 def test_a_grid_beyond_the_backbones_own_steps_is_cut():

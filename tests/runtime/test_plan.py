@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.onnx_backbone import write_backbone
 from support.scenes import make_scene, make_shadow
 from support.shadow_scenes import ball_scene
 
@@ -41,6 +42,13 @@ class Counted:
 @pytest.fixture(scope="module")
 def counted(relighter):
     return Counted(relighter)
+
+
+@pytest.fixture(scope="module")
+def reusing(tmp_path_factory):
+    """One whose backbone brings a shallow graph."""
+    folder = write_backbone(tmp_path_factory.mktemp("models") / "deep", deep=True)
+    return Counted(Relighter.load(folder, threads=1, remember=0))
 
 
 def case(number):
@@ -175,6 +183,7 @@ def requests(draw):
         plain_steps=draw(st.none() | st.integers(1, 6)),
         solver=draw(st.sampled_from(["ddim", "dpmpp_2m", "unipc"])),
         guidance_interval=(low, high),
+        reuse=draw(st.integers(1, 4)),
         batch_branches=draw(st.booleans()),
         window=draw(st.sampled_from(["auto", "frame", "tight"])),
         fidelity=draw(st.sampled_from(["paper", "release"])),
@@ -204,6 +213,66 @@ def test_predicted_calls_of_one_picture_a_light(counted, request):
     for result in results:
         total.update(result.plan.calls())
     assert total == counted.calls
+
+
+@given(requests())
+def test_predicted_calls_are_the_calls_made_with_features_reused(reusing, request):
+    scene, lights, options = request
+    result = reusing.relight(scene, lights, options=options)
+    assert dict(reusing.calls) == result.plan.calls()
+    if not options.batch_branches:
+        called = sum(reusing.calls[name] for name in ("denoiser", "denoiser_shallow"))
+        assert called == result.plan.evaluations
+    assert sum(effect.shallow for effect in result.plan.effects) <= result.plan.evaluations
+
+
+def test_deep_features_are_kept_for_so_many_steps(reusing, scene, shadow, negative):
+    light = GuidingShadow(shadow, negative)
+    plain = {"options": RelightOptions(denoise=False, steps=6)}
+    whole = reusing.relight(scene, light, **plain)
+    assert dict(reusing.calls)["denoiser"] == 18
+    apart = []
+    for reuse, calls in ((2, (9, 9)), (3, (6, 12)), (9, (3, 15))):
+        result = reusing.relight(scene, light, **plain, reuse=reuse)
+        assert (reusing.calls["denoiser"], reusing.calls["denoiser_shallow"]) == calls
+        assert result.evaluations == 18
+        effect = next(e for e in result.plan.effects if e.name == "feature reuse")
+        assert effect.on
+        assert not effect.exact
+        assert f"{calls[1]} evaluations are shallow" in effect.reason
+        apart.append(float(np.abs(result.image - whole.image).mean()))
+    assert 0.0 < apart[0] < apart[1] < apart[2]
+    late = reusing.relight(scene, light, **plain, reuse=4, guidance_interval=(0.5, 1.0))
+    assert late.plan.passes[0].shallow == (3, 1), "whole where the negative branch begins"
+
+
+def test_a_step_that_is_whole_is_the_same_to_the_bit(reusing, scene, shadow, negative):
+    light = GuidingShadow(shadow, negative)
+    reusing.relight(scene, light, denoise=False)
+    assert "denoiser_shallow" not in reusing.calls
+    one = reusing.relight(scene, light, denoise=False, steps=1, reuse=3)
+    np.testing.assert_array_equal(
+        one.image, reusing.relight(scene, light, denoise=False, steps=1).image
+    )
+    assert {e.name: e.on for e in one.plan.effects}["feature reuse"] is False
+
+
+def test_a_model_without_a_shallow_graph_reuses_nothing(counted, scene, shadow):
+    off = counted.relight(scene, shadow, denoise=False)
+    asked = counted.relight(scene, shadow, denoise=False, reuse=3)
+    np.testing.assert_array_equal(asked.image, off.image)
+    effect = next(e for e in asked.plan.effects if e.name == "feature reuse")
+    assert (effect.on, effect.exact) == (False, True)
+    assert effect.reason == "the model has no graph for it"
+
+
+def test_branches_together_reuse_the_same_features(reusing, scene, shadow, negative):
+    light = GuidingShadow(shadow, negative)
+    apart, together = (
+        reusing.relight(scene, light, denoise=False, reuse=2, batch_branches=batch)
+        for batch in (False, True)
+    )
+    np.testing.assert_allclose(together.image, apart.image, atol=1e-5)
 
 
 def test_guidance_in_some_steps_asks_for_the_negative_there_only(counted, scene, shadow, negative):

@@ -30,11 +30,20 @@ def test_split_graphs_pass_the_residuals_on():
     assert "condition" not in [t.name for t in graphs["unet"].inputs]
 
 
-@pytest.mark.parametrize("residuals", [(), RESIDUALS])
-def test_what_one_graph_returns_the_next_one_takes(residuals):
+def test_a_shallow_graph_takes_what_the_whole_one_kept():
+    graphs = by_name(BACKBONES["mini"], deep_channels=128)
+    assert list(graphs)[2:4] == ["denoiser", "denoiser_shallow"]
+    whole, shallow = graphs["denoiser"], graphs["denoiser_shallow"]
+    assert [t.name for t in whole.outputs] == ["prediction", "deep"]
+    assert shallow.inputs == (*whole.inputs, whole.outputs[1])
+    assert shallow.outputs == whole.outputs[:1]
+
+
+@pytest.mark.parametrize("passed_on", [{}, {"residual_channels": RESIDUALS}, {"deep_channels": 8}])
+def test_what_one_graph_returns_the_next_one_takes(passed_on):
     """A tensor has one name, type and shape wherever it passes."""
     seen = {}
-    graphs = by_name(BACKBONES["mini"], residual_channels=residuals)
+    graphs = by_name(BACKBONES["mini"], **passed_on)
     for contract in graphs.values():
         for tensor in (*contract.inputs, *contract.outputs):
             key = (tensor.name, tensor.dtype, tensor.shape)

@@ -41,26 +41,38 @@ def write_backbone(
     seed: int = 0,
     gain: float = 1.0,
     hidden: int = 8,
+    deep: bool = False,
 ) -> Path:
     """Write a model folder.
 
     ``gain`` scales the denoiser's output (infinity makes it overflow), ``hidden`` is its width:
-    with thousands of channels its evaluations are what a relight takes its time for.
+    with thousands of channels its evaluations are what a relight takes its time for. With ``deep``
+    it also brings a shallow graph.
     """
     spec = spec or tiny_spec()
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
-    contracts = graph_contracts(spec, condition_channels=CONDITION_CHANNELS)
+    contracts = graph_contracts(
+        spec, condition_channels=CONDITION_CHANNELS, deep_channels=hidden if deep else 0
+    )
     makers = {
         "vae_encoder": _vae_encoder,
         "condition_encoder": _condition_encoder,
         "denoiser": partial(_denoiser, hidden=hidden),
         "vae_decoder": _vae_decoder,
     }
+    outermost: dict[str, np.ndarray] = {}
     for contract in contracts:
+        if contract.name == "denoiser_shallow":
+            save_graph(folder, contract, _shallow(), outermost)
+            continue
         nodes, weights = makers[contract.name](spec, rng)
         if contract.name == "denoiser":
             weights["out_w"] = weights["out_w"] * np.float32(gain)
+            if deep:
+                outermost = {"out_w": weights["out_w"], "own_w": np.float32(0.1)}
+                weights |= outermost
+                nodes[-2:] = [helper.make_node("Tanh", ["z"], ["deep"]), *_shallow()]
         save_graph(folder, contract, nodes, weights)
     manifest = Manifest(
         backbone=spec,
@@ -141,6 +153,15 @@ def _denoiser(spec: BackboneSpec, rng: np.random.Generator, hidden: int):
         "out_w": _patchify(rng, hidden, c, 3),
     }
     return nodes, weights
+
+
+def _shallow() -> list[onnx.NodeProto]:
+    """From deep features and latents to the prediction."""
+    return [
+        helper.make_node("Conv", ["deep", "out_w"], ["u"], pads=[1, 1, 1, 1], kernel_shape=[3, 3]),
+        helper.make_node("Mul", ["latents", "own_w"], ["own"]),
+        helper.make_node("Add", ["u", "own"], ["prediction"]),
+    ]
 
 
 def _vae_decoder(spec: BackboneSpec, rng: np.random.Generator):

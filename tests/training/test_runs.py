@@ -136,7 +136,8 @@ def test_shipped_model_is_verified_and_relights(trained, tmp_path):
     assert isinstance(estimator, IntrinsicsNet)
     manifest = ship(renderer, estimator, spec, tmp_path / "mini", {"data": "made up"})
     assert {row.subject for row in manifest.parity} == {
-        "vae_encoder", "condition_encoder", "denoiser", "vae_decoder", "intrinsics", "loop",
+        "vae_encoder", "condition_encoder", "denoiser", "denoiser_shallow", "vae_decoder",
+        "intrinsics", "loop",
     }  # fmt: skip
     assert all(row.max_rel <= row.tolerance for row in manifest.parity)
     assert json.loads((tmp_path / "mini/manifest.json").read_text())["licence"] == "Apache-2.0"
@@ -145,6 +146,11 @@ def test_shipped_model_is_verified_and_relights(trained, tmp_path):
         scene, make_shadow(scene), options=RelightOptions(steps=2)
     )
     assert np.isfinite(result.image).all()
+    reused = Relighter.load(tmp_path / "mini").relight(
+        scene, make_shadow(scene), options=RelightOptions(steps=2, reuse=2)
+    )
+    assert reused.plan.calls()["denoiser_shallow"] == 3
+    assert np.isfinite(reused.image).all()
     estimate = open_networks(resolve_model(tmp_path / "mini"))["intrinsics"]
     maps = estimate(image=np.full((1, 3, 64, 96), 0.5, np.float32))["maps"]
     assert maps.shape == (1, 7, 64, 96)

@@ -33,7 +33,7 @@ from spotlight_spec import (
     graph_contracts,
     intrinsics_contract,
 )
-from spotlight_training.networks import VAE, IntrinsicsNet
+from spotlight_training.networks import VAE, Denoiser, IntrinsicsNet
 from spotlight_training.objectives import Renderer
 
 __all__ = ["ship"]
@@ -142,11 +142,35 @@ class _Decoder(nn.Module):
         return self.vae.decode(latents)
 
 
+class _Whole(nn.Module):
+    def __init__(self, denoiser: Denoiser) -> None:
+        super().__init__()
+        self.denoiser = denoiser
+
+    def forward(
+        self, latents: Tensor, timestep: Tensor, condition: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        return self.denoiser.whole(latents, timestep, condition)
+
+
+class _Shallow(nn.Module):
+    def __init__(self, denoiser: Denoiser) -> None:
+        super().__init__()
+        self.denoiser = denoiser
+
+    def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor, deep: Tensor) -> Tensor:
+        return self.denoiser.shallow(latents, timestep, condition, deep)
+
+
 def _jobs(renderer: Renderer, estimator: IntrinsicsNet, spec: BackboneSpec) -> Iterator[GraphJob]:
     generator = torch.Generator().manual_seed(SEED)
     contracts = {
         contract.name: contract
-        for contract in graph_contracts(spec, condition_channels=renderer.condition.channels)
+        for contract in graph_contracts(
+            spec,
+            condition_channels=renderer.condition.channels,
+            deep_channels=renderer.denoiser.deep_channels,
+        )
     }
     height, width = TRACE_LATENT
     pixels = (height * spec.latent.downscale, width * spec.latent.downscale)
@@ -158,7 +182,11 @@ def _jobs(renderer: Renderer, estimator: IntrinsicsNet, spec: BackboneSpec) -> I
     yield GraphJob(contracts["condition_encoder"], renderer.condition, (maps,))
     with torch.no_grad():
         condition = renderer.condition(maps)
-    yield GraphJob(contracts["denoiser"], renderer.denoiser, (latents, timestep, condition))
+        _, deep = renderer.denoiser.whole(latents, timestep, condition)
+    inputs = (latents, timestep, condition)
+    yield GraphJob(contracts["denoiser"], _Whole(renderer.denoiser), inputs)
+    shallow = contracts["denoiser_shallow"]
+    yield GraphJob(shallow, _Shallow(renderer.denoiser), (*inputs, deep))
     yield GraphJob(contracts["vae_decoder"], _Decoder(renderer.vae), (latents,))
     photograph = torch.rand(2, 3, 2 * PHOTOGRAPH, 3 * PHOTOGRAPH, generator=generator)
     yield GraphJob(intrinsics_contract(), estimator, (photograph,))
@@ -180,7 +208,8 @@ def _parity(
     reference = {
         "vae_encoder": _Encoder(renderer.vae),
         "condition_encoder": renderer.condition,
-        "denoiser": renderer.denoiser,
+        "denoiser": _Whole(renderer.denoiser),
+        "denoiser_shallow": _Shallow(renderer.denoiser),
         "vae_decoder": _Decoder(renderer.vae),
         "intrinsics": estimator,
     }
@@ -253,6 +282,9 @@ def _inputs(
         ),
         "timestep": lambda: np.array([timestep], np.int64),
         "condition": lambda: made_up_maps(spec, size, batch, rng),
+        "deep": lambda: rng.standard_normal(
+            (batch, contract.inputs[-1].shape[1], *size), dtype=np.float32
+        ),
     }
     return {tensor.name: values[tensor.name]() for tensor in contract.inputs}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -199,8 +200,11 @@ def predictor(
     schedule: ScheduleSpec,
     *,
     batch_branches: bool = True,
+    reuse: int = 1,
 ) -> Predict:
     """The network as the sampler knows it: ``predict(latents, timestep) -> v``.
+
+    It is of one pass: with ``reuse`` it counts steps and keeps what they gave.
 
     Parameters
     ----------
@@ -212,6 +216,10 @@ def predictor(
         Says what the network's output means.
     batch_branches : bool
         Run the branches in one call, or one after the other (less memory).
+    reuse : int
+        Evaluate the whole denoiser in every so many steps, and where a branch is asked for that
+        was left out before; in the others, its shallow part on the deep features of the last whole
+        evaluation (Ma et al. 2024, DeepCache).
 
     Returns
     -------
@@ -220,6 +228,8 @@ def predictor(
         where a graph's output is not finite, naming the graph; the loop adds the step.
     """
     alphas = alphas_cumprod(schedule)
+    steps = count()
+    kept: list[FloatArray] = []
 
     def ask(graph: str, timestep: int, **inputs: FloatArray) -> dict[str, FloatArray]:
         outputs = networks[graph](timestep=np.array([timestep], dtype=np.int64), **inputs)
@@ -230,18 +240,28 @@ def predictor(
     def evaluate(latents: FloatArray, timestep: int, encoded: FloatArray) -> FloatArray:
         if "denoiser" in networks:
             output = ask("denoiser", timestep, latents=latents, condition=encoded)
+            if reuse > 1:
+                kept.append(output["deep"])
         else:
             residuals = ask("controlnet", timestep, latents=latents, condition=encoded)
             output = ask("unet", timestep, latents=latents, **residuals)
         return output["prediction"]
 
     def predict(latents: FloatArray, timestep: int) -> FloatArray:
-        asked = condition[: len(latents)]
-        if batch_branches:
-            output = evaluate(latents, timestep, asked)
+        whole = next(steps) % reuse == 0 or sum(map(len, kept)) < len(latents)
+        if whole:
+            kept.clear()
+        calls = 1 if batch_branches else len(latents)
+        parts = zip(np.split(latents, calls), np.split(condition[: len(latents)], calls))
+        if whole:
+            outputs = [evaluate(z, timestep, c) for z, c in parts]
         else:
-            each = zip(np.split(latents, len(latents)), np.split(asked, len(asked)))
-            output = np.concatenate([evaluate(z, timestep, c) for z, c in each])
+            deep = np.split(np.concatenate(kept)[: len(latents)], calls)
+            outputs = [
+                ask("denoiser_shallow", timestep, latents=z, condition=c, deep=d)["prediction"]
+                for (z, c), d in zip(parts, deep)
+            ]
+        output = outputs[0] if calls == 1 else np.concatenate(outputs)
         return _as_v(output, latents, float(alphas[timestep]), schedule.prediction_type)
 
     return predict

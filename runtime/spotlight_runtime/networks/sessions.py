@@ -36,7 +36,7 @@ Network = Callable[..., dict[str, npt.NDArray[Any]]]
 """``network(**named_arrays)`` → named arrays, names as in the graph's contract."""
 
 DEFAULT_PROVIDERS: Final = ("CPUExecutionProvider",)
-EVERY_STEP: Final = ("denoiser", "controlnet", "unet")
+EVERY_STEP: Final = ("denoiser", "denoiser_shallow", "controlnet", "unet")
 """Graphs that run every step and keep their working memory; the others give it back."""
 _CGROUP: Final = Path("/sys/fs/cgroup")
 _DTYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}

@@ -22,7 +22,7 @@ from spotlight_spec import write_json
 
 __all__ = ["Costs", "Line", "cache_path", "read_costs", "write_costs"]
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Of the cache file; files of another version are measured anew."""
 
 
@@ -70,6 +70,8 @@ class Costs:
         Putting a whole photograph diffused at its own scale together, by its pixels.
     window : Line
         Putting a window back into a larger photograph, by the photograph's pixels.
+    shallow : Line
+        Of one branch, an evaluation that goes without the deep part; 0 where the model has none.
     """
 
     evaluation: Line
@@ -78,6 +80,7 @@ class Costs:
     decode: Line
     frame: Line
     window: Line
+    shallow: Line = Line(0.0, 0.0)
 
     def composite(self, pixels: int, native: bool) -> float:
         """Seconds to put a picture of so many pixels together."""

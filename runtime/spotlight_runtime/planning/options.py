@@ -58,6 +58,10 @@ class RelightOptions:
         al. 2024); outside it the negative one is not evaluated.
     plain_steps : int or None
         Steps of the pass without shadow; as many as the others by default.
+    reuse : int
+        Steps between two evaluations of the whole denoiser; in those between, only what runs at
+        latent size is evaluated, on the deep features of the last whole one (Ma et al. 2024). 1 is
+        off, as it is with a model that brings no graph for it.
     window : {"auto", "frame", "tight"}
         ``auto``: a photograph larger than the backbone was trained at is diffused in a window
         around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
@@ -90,6 +94,7 @@ class RelightOptions:
     batch_branches: bool = False
     guidance_interval: tuple[float, float] = (0.0, 1.0)
     plain_steps: int | None = None
+    reuse: int = 1
     window: WindowMode = "auto"
     detail: Detail = "auto"
     skip: bool = True
@@ -106,6 +111,8 @@ class RelightOptions:
             value = getattr(self, name)
             if value is not None and (type(value) is not int or value < 1):
                 raise InvalidInputError(f"{name}: expected a whole number from 1, got {value!r}")
+        if type(self.reuse) is not int or self.reuse < 1:
+            raise InvalidInputError(f"reuse: expected a whole number from 1, got {self.reuse!r}")
         interval = tuple(self.guidance_interval)
         if len(interval) != 2 or not 0.0 <= interval[0] <= interval[1] <= 1.0:
             raise InvalidInputError(
@@ -175,6 +182,7 @@ class OptionChanges(TypedDict, total=False):
     batch_branches: bool
     guidance_interval: tuple[float, float]
     plain_steps: int | None
+    reuse: int
     window: WindowMode
     detail: Detail
     skip: bool

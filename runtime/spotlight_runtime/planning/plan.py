@@ -21,11 +21,14 @@ class GuidedPass:
         it no longer is; the same number twice where there is no negative branch.
     encoded : tuple of bool
         By branch, positive first: whether its rough composite is encoded and blended in.
+    reuse : int
+        Steps between two evaluations of the whole denoiser; 1: there are no others.
     """
 
     steps: int
     contrasted: tuple[int, int]
     encoded: tuple[bool, ...]
+    reuse: int = 1
 
     @property
     def branches(self) -> int:
@@ -51,6 +54,17 @@ class GuidedPass:
         """How many branches the network is asked for at a step."""
         return 2 if self.contrasted[0] <= step < self.contrasted[1] else 1
 
+    def shallow_at(self, step: int) -> bool:
+        """Whether a step goes without the deep part: its branches kept theirs from before."""
+        begins = self.contrasts > 0 and step == self.contrasted[0]
+        return step % self.reuse > 0 and not begins
+
+    @property
+    def shallow(self) -> tuple[int, int]:
+        """Evaluations without the deep part, of the positive branch and of the negative."""
+        steps = [self.branches_at(step) for step in range(self.steps) if self.shallow_at(step)]
+        return len(steps), steps.count(2)
+
 
 @dataclass(frozen=True, slots=True)
 class PlainPass:
@@ -62,15 +76,23 @@ class PlainPass:
     source : {"run", "remembered", "relight"}
         Whether it is run, was run before for the same scene and seed, or is the relight pass
         itself.
+    reuse : int
+        As `GuidedPass` has it.
     """
 
     steps: int
     source: Literal["run", "remembered", "relight"]
+    reuse: int = 1
 
     @property
     def evaluations(self) -> int:
         """Evaluations it takes."""
         return self.steps if self.source == "run" else 0
+
+    @property
+    def shallow(self) -> int:
+        """How many of them go without the deep part."""
+        return self.evaluations - -(-self.evaluations // self.reuse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +109,8 @@ class Effect:
         Whether the picture is the same, in real arithmetic, as with everything simulated.
     evaluations : int
         Denoiser evaluations it takes.
+    shallow : int
+        How many of them go without the deep part.
     seconds : float or None
         Predicted; None where the machine has not been measured.
     """
@@ -97,6 +121,7 @@ class Effect:
     exact: bool = True
     evaluations: int = 0
     seconds: float | None = None
+    shallow: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +148,7 @@ class Plan:
 
     @property
     def evaluations(self) -> int:
-        """Denoiser evaluations, one a branch and step."""
+        """Denoiser evaluations, one a branch and step, whole or shallow."""
         return self.plain.evaluations + sum(p.evaluations for p in self.passes)
 
     @property
@@ -135,11 +160,15 @@ class Plan:
     def calls(self) -> dict[str, int]:
         """How often each graph will be run; ``denoiser`` stands for a controlnet and its unet."""
         count: Counter[str] = Counter()
-        count["denoiser"] = self.plain.evaluations
+        count["denoiser"] = self.plain.evaluations - self.plain.shallow
+        count["denoiser_shallow"] = self.plain.shallow
         for each in self.passes:
             count["vae_encoder"] += sum(each.encoded)
             count["condition_encoder"] += each.branches
-            count["denoiser"] += each.steps + (0 if self.batched else each.contrasts)
+            positive, negative = each.shallow
+            whole = each.steps - positive, each.contrasts - negative
+            count["denoiser"] += whole[0] + (0 if self.batched else whole[1])
+            count["denoiser_shallow"] += positive + (0 if self.batched else negative)
             count["vae_decoder"] += 1
         if self.plain.source == "run":
             count["condition_encoder"] += 1

@@ -10,7 +10,7 @@ The exact rules leave out what could not change the picture:
   without shadow; and this is run once for all lights, and once a scene and seed.
 
 The others trade accuracy for time, and are the options' to ask for: fewer steps, guidance in some
-of them, fewer steps without shadow, a tight window.
+of them, fewer steps without shadow, deep features of an earlier step, a tight window.
 """
 
 from __future__ import annotations
@@ -70,6 +70,8 @@ class Facts:
         How long casting shadows and choosing the window took.
     own_steps : int
         The backbone's usual number of steps.
+    reusable : bool
+        Whether the model has a graph that predicts from an earlier step's deep features.
     """
 
     lights: tuple[LightFacts, ...]
@@ -83,6 +85,7 @@ class Facts:
     denoised: str
     prepared_seconds: float
     own_steps: int
+    reusable: bool = False
 
 
 def make_plan(
@@ -111,6 +114,7 @@ def make_plan(
         _guidance_effect(facts, passes, options),
         _blending_effect(passes, options),
         _plain_effect(facts, plain, options),
+        _reuse_effect(facts, passes, plain, options),
         Effect("soft shadows", *_switch(facts.softness), seconds=facts.prepared_seconds),
         Effect("window", not facts.native, facts.window, exact=options.window != "tight"),
         Effect("denoiser", *_switch(facts.denoised)),
@@ -126,25 +130,31 @@ def _guided_pass(facts: Facts, light: LightFacts, options: RelightOptions) -> Gu
     assert steps is not None
     first, last = (round(share * steps) for share in options.guidance_interval)
     blended = options.beta > 0.0 and steps > 1
+    reuse = _reuse(facts, options)
     if not options.skip:
-        return GuidedPass(steps, (first, last), (True, True))
+        return GuidedPass(steps, (first, last), (True, True), reuse)
     encoded = tuple(blended and each for each in light.blendable)
     # The release draws each branch's latents anew, so equal shadows part once they are blended.
     differ = light.contrast or (options.fidelity == "release" and any(encoded))
     if options.gamma == 1.0 or not (facts.object_seen and differ and first < last):
-        return GuidedPass(steps, (0, 0), encoded[:1])
-    return GuidedPass(steps, (first, last), encoded)
+        return GuidedPass(steps, (0, 0), encoded[:1], reuse)
+    return GuidedPass(steps, (first, last), encoded, reuse)
+
+
+def _reuse(facts: Facts, options: RelightOptions) -> int:
+    return options.reuse if facts.reusable else 1
 
 
 def _plain_pass(facts: Facts, first: GuidedPass, options: RelightOptions) -> PlainPass:
     steps = options.plain_steps
     assert steps is not None
+    reuse = _reuse(facts, options)
     if not options.skip:
-        return PlainPass(steps, "run")
+        return PlainPass(steps, "run", reuse)
     if facts.remembered:
-        return PlainPass(steps, "remembered")
+        return PlainPass(steps, "remembered", reuse)
     unguided = first.branches == 1 and not first.blends and not facts.lights[0].shadow
-    return PlainPass(steps, "relight" if unguided and steps == first.steps else "run")
+    return PlainPass(steps, "relight" if unguided and steps == first.steps else "run", reuse)
 
 
 def _relight_effect(
@@ -155,7 +165,8 @@ def _relight_effect(
     reason = steps if usual else f"{steps}, where the backbone's own are {facts.own_steps} of ddim"
     if len(passes) > 1:
         reason = f"{len(passes)} lights; {reason}"
-    return Effect("relight", True, reason, usual, sum(p.steps for p in passes))
+    shallow = sum(p.shallow[0] for p in passes)
+    return Effect("relight", True, reason, usual, sum(p.steps for p in passes), shallow=shallow)
 
 
 def _guidance_effect(
@@ -166,7 +177,8 @@ def _guidance_effect(
     if evaluations:
         first, last = options.guidance_interval
         some = "" if whole else f", from {first:.0%} to {last:.0%} of the steps"
-        return Effect("guidance", True, f"γ = {options.gamma:g}{some}", whole, evaluations)
+        reason, shallow = f"γ = {options.gamma:g}{some}", sum(p.shallow[1] for p in passes)
+        return Effect("guidance", True, reason, whole, evaluations, shallow=shallow)
     if options.gamma == 1.0:
         reason = "γ = 1 adds nothing"
     elif not facts.object_seen:
@@ -199,7 +211,22 @@ def _plain_effect(facts: Facts, plain: PlainPass, options: RelightOptions) -> Ef
     reason = f"what the shadow is measured against{shared}"
     same = plain.steps == options.steps
     fewer = "" if same else f", in {plain.steps} steps"
-    return Effect(name, True, reason + fewer, same, plain.evaluations)
+    return Effect(name, True, reason + fewer, same, plain.evaluations, shallow=plain.shallow)
+
+
+def _reuse_effect(
+    facts: Facts, passes: tuple[GuidedPass, ...], plain: PlainPass, options: RelightOptions
+) -> Effect:
+    name = "feature reuse"
+    if options.reuse == 1:
+        return Effect(name, False, "not wanted")
+    if not facts.reusable:
+        return Effect(name, False, "the model has no graph for it")
+    shallow = plain.shallow + sum(sum(p.shallow) for p in passes)
+    if not shallow:
+        return Effect(name, False, "there is no step to reuse them in")
+    said = f"the whole denoiser in one of {options.reuse} steps; {shallow} evaluations are shallow"
+    return Effect(name, True, said, exact=False)
 
 
 def _switch(said: str) -> tuple[bool, str]:
@@ -212,6 +239,7 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
     """The plan with predicted seconds."""
     size = facts.latents
     evaluation, condition = costs.evaluation.at(size), costs.condition.at(size)
+    shallow = costs.shallow.at(size)
     decode, encode = costs.decode.at(size), costs.encode.at(size)
     negatives = sum(p.branches - 1 for p in plan.passes)
     ran = plan.plain.source == "run"
@@ -225,7 +253,12 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
     priced = tuple(
         effect
         if effect.seconds is not None
-        else replace(effect, seconds=effect.evaluations * evaluation + extra.get(effect.name, 0.0))
+        else replace(
+            effect,
+            seconds=(effect.evaluations - effect.shallow) * evaluation
+            + effect.shallow * shallow
+            + extra.get(effect.name, 0.0),
+        )
         for effect in plan.effects
     )
     return replace(plan, effects=priced)

@@ -27,7 +27,7 @@ LARGE: Final = 4
 """Sides of the backbone's size in a photograph that is diffused in a window."""
 
 
-def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
+def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = False) -> Costs:
     """Measure.
 
     Parameters
@@ -35,6 +35,8 @@ def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
     spec : BackboneSpec
     relight : callable
         ``relight(scene, shadow, options)``, remembering nothing.
+    reusable : bool
+        Whether the model predicts from an earlier step's deep features, too.
 
     Returns
     -------
@@ -42,11 +44,11 @@ def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
     """
     half, whole = spec.size // 2, spec.size
 
-    def run(side: int) -> dict[str, float]:
+    def run(side: int, reuse: int = 1) -> dict[str, float]:
         scene, shadow = made_up_scene(side)
-        return relight(scene, shadow, RelightOptions(steps=STEPS, skip=False)).timings
+        return relight(scene, shadow, RelightOptions(steps=STEPS, reuse=reuse, skip=False)).timings
 
-    run(half)  # opens the sessions
+    run(half, STEPS)  # opens the sessions
     small, full, large = run(half), run(whole), run(LARGE * whole)
     scale = spec.latent.downscale
     latents = [float((side // scale) ** 2) for side in (half, whole, whole)]
@@ -56,7 +58,16 @@ def measure_costs(spec: BackboneSpec, relight: Relight) -> Costs:
         seconds = [sum(run.get(stage, 0.0) for stage in stages) / calls for run in measured]
         return Line.through(latents, seconds)
 
+    def shallow_at(side: int, whole: dict[str, float]) -> float:
+        again = run(side, STEPS)  # one of two evaluations is shallow
+        evaluation, both = (r["relight"] + r["no shadow"] for r in (whole, again))
+        return max(0.0, both - evaluation / STEPS) / (3 * (STEPS - 1))
+
+    shallow = Line(0.0, 0.0)
+    if reusable:
+        shallow = Line.through(latents[:2], [shallow_at(half, small), shallow_at(whole, full)])
     return Costs(
+        shallow=shallow,
         evaluation=line(3 * STEPS, "relight", "no shadow"),
         condition=line(3, "condition"),
         encode=line(2, "encode"),

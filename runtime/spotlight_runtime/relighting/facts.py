@@ -21,6 +21,7 @@ def scene_facts(
     denoised: str,
     remembered: bool,
     seconds: float,
+    reusable: bool,
 ) -> Facts:
     """Facts of a prepared relight.
 
@@ -36,6 +37,8 @@ def scene_facts(
         Whether the picture without shadow is known.
     seconds : float
         How long preparing took.
+    reusable : bool
+        Whether the model predicts from an earlier step's deep features, too.
 
     Returns
     -------
@@ -56,6 +59,7 @@ def scene_facts(
         denoised=denoised,
         prepared_seconds=seconds,
         own_steps=spec.schedule.steps,
+        reusable=reusable,
     )
 
 

@@ -47,13 +47,15 @@ def guided_pass(
         ``gamma``, ``beta``, ``solver``, ``steps``, ``fidelity``, ``guidance_rescale`` and
         ``batch_branches`` apply.
     planned : GuidedPass, optional
-        In which steps the branches are contrasted; by default in all of them.
+        In which steps the branches are contrasted, and in which deep features are reused; by
+        default in all of them, and in none.
     """
     predict = predictor(
         networks,
         encode_conditioning(networks, inputs.conditioning),
         spec.schedule,
         batch_branches=options.batch_branches,
+        reuse=1 if planned is None else planned.reuse,
     )
     return shadow_guided(
         predict,
@@ -74,6 +76,7 @@ def plain_pass(
     noise: FloatArray,
     solver: SolverName,
     steps: int,
+    reuse: int = 1,
 ) -> Iterator[Step]:
     """The renderer alone, with the shading hidden under the object only.
 
@@ -87,9 +90,12 @@ def plain_pass(
         The guided pass's initial noise, so that what differs is the shadow.
     solver : str
     steps : int
+    reuse : int
+        As `GuidedPass` has it.
     """
     conditioning = conditioning_array(spec, view, np.zeros_like(view.object_mask))
-    predict = predictor(networks, encode_conditioning(networks, conditioning[None]), spec.schedule)
+    encoded = encode_conditioning(networks, conditioning[None])
+    predict = predictor(networks, encoded, spec.schedule, reuse=reuse)
     return sample(predict, noise, make_solver(solver, Schedule.trailing(spec.schedule, steps)))
 
 

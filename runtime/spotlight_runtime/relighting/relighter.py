@@ -221,7 +221,15 @@ class Relighter:
         12-megapixel photograph in half the memory. Parameters and errors are those of `relight`.
         """
         return prepare_task(
-            self.spec, scene, light, negative, options, changes, self._remembered, self._costs_for
+            self.spec,
+            scene,
+            light,
+            negative,
+            options,
+            changes,
+            self._remembered,
+            self._costs_for,
+            self._reusable,
         )
 
     def plan(
@@ -252,6 +260,7 @@ class Relighter:
             self.costs = measure_costs(
                 self.spec,
                 lambda scene, shadow, options: measured.relight(scene, shadow, options=options),
+                reusable=self._reusable,
             )
             if self._costs_file is not None:
                 write_costs(self._costs_file, self.costs)
@@ -267,7 +276,7 @@ class Relighter:
         for number, each in enumerate(inputs):
             latents.append((yield from self._guided(task, number, each)))
         plain = yield from self._plain(task, inputs[0].initial_noise)
-        self._release("condition_encoder", "denoiser", "controlnet", "unet")
+        self._release("condition_encoder", *EVERY_STEP)
         predicted = [self._develop(task, z) for z in latents]
         no_shadow = self._no_shadow(task, plain, predicted[0])
         self._release("vae_decoder")
@@ -330,6 +339,10 @@ class Relighter:
         """
         return passes.guided_pass(self._networks, self.spec, inputs, options or RelightOptions())
 
+    @property
+    def _reusable(self) -> bool:
+        return "denoiser_shallow" in self._networks
+
     def _costs_for(self, needed: bool) -> Costs | None:
         return self.calibrated() if needed else self.costs
 
@@ -355,7 +368,7 @@ class Relighter:
         view, solver = task.prepared.view, task.options.solver
         with task.stopwatch.stage("condition"):
             trajectory = passes.plain_pass(
-                self._networks, self.spec, view, noise, solver, planned.steps
+                self._networks, self.spec, view, noise, solver, planned.steps, planned.reuse
             )
         return (yield from task.drain(trajectory, "no shadow", 0, planned.steps))
 

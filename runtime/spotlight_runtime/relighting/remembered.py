@@ -76,7 +76,7 @@ def plain_key(view: Scene, options: RelightOptions, denoised: str) -> str:
         A digest; equal views have equal ones.
     """
     digest = hashlib.blake2b(digest_size=20)
-    said = (options.seed, options.solver, options.plain_steps, denoised, view.size)
+    said = (options.seed, options.solver, options.plain_steps, options.reuse, denoised, view.size)
     digest.update(repr(said).encode())
     both = (view.background_maps, view.object_maps)
     maps = [getattr(maps, name) for maps in both for name in MAP_NAMES]

@@ -125,6 +125,7 @@ def prepare_task(
     wishes: Wishes,
     remembered: Remembered,
     costs: Callable[[bool], Costs | None],
+    reusable: bool = False,
 ) -> Task:
     """Cast shadows, choose the plan and the window, and bring everything to the model's scale.
 
@@ -140,6 +141,8 @@ def prepare_task(
         Pictures without shadow known from before.
     costs : callable
         ``costs(needed)`` → what stages cost here; where not needed, None will do.
+    reusable : bool
+        Whether the model predicts from an earlier step's deep features, too.
 
     Returns
     -------
@@ -179,6 +182,7 @@ def prepare_task(
             denoised=denoised,
             remembered=no_shadow is not None,
             seconds=stopwatch.seconds["prepare"],
+            reusable=reusable,
         )
         plan = make_plan(facts, chosen, known, name)
         if budget is None or (plan.seconds is not None and plan.seconds <= budget):

@@ -54,7 +54,7 @@ class Denoiser(nn.Module):
         super().__init__()
         self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
         self.log_variance = nn.Parameter(torch.full((latent,), math.log(HIDDEN_VARIANCE)))
-        self.latent, self.widths = latent, widths
+        self.latent, self.widths, self.blocks = latent, widths, blocks
         embedding = 4 * widths[0]
         self.embed = nn.Sequential(
             nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
@@ -82,23 +82,65 @@ class Denoiser(nn.Module):
         )
         nn.init.zeros_(self.leave[-1].weight)
 
+    @property
+    def deep_channels(self) -> int:
+        """Channels of what comes up from below latent size."""
+        return self.widths[min(1, len(self.widths) - 1)]
+
     def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> Tensor:
         """Prediction v, shape of ``latents``; ``timestep`` is int64 (1,) or (B,)."""
+        return self.whole(latents, timestep, condition)[0]
+
+    def whole(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
+        """Prediction, and the deep features (B, `deep_channels`, h, w) that `shallow` takes."""
+        embedding, skips = self._enter(latents, timestep, condition)
+        deep = self._below(embedding, skips)
+        return self._leave(latents, timestep, condition, deep, embedding, skips), deep
+
+    def shallow(self, latents: Tensor, timestep: Tensor, condition: Tensor, deep: Tensor) -> Tensor:
+        """Prediction from another step's deep features: no more than runs at latent size."""
+        embedding, skips = self._enter(latents, timestep, condition)
+        return self._leave(latents, timestep, condition, deep, embedding, skips)
+
+    def _enter(
+        self, latents: Tensor, timestep: Tensor, condition: Tensor
+    ) -> tuple[Tensor, list[Tensor]]:
         embedding = self.embed(_sinusoid(timestep, self.widths[0]).to(latents.dtype))
         x = self.enter(torch.cat([latents, condition[:, : self.shown]], dim=1))
         skips = []
-        for stage in self.down:
+        for stage in list(self.down)[: self.blocks]:
+            x = stage(x, embedding)
+            skips.append(x)
+        return embedding, skips
+
+    def _below(self, embedding: Tensor, shown: list[Tensor]) -> Tensor:
+        skips = list(shown)
+        x = skips[-1]
+        for stage in list(self.down)[self.blocks :]:
             if isinstance(stage, _Stage):
                 x = stage(x, embedding)
                 skips.append(x)
             else:
                 x = stage(x)
         x = self.middle(x, embedding)
-        for stage in self.up:
+        for stage in list(self.up)[: -self.blocks]:
             if isinstance(stage, _Stage):
                 x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
             else:
                 x = stage(double(x, like=skips[-1]))
+        return x
+
+    def _leave(
+        self,
+        latents: Tensor,
+        timestep: Tensor,
+        condition: Tensor,
+        x: Tensor,
+        embedding: Tensor,
+        skips: list[Tensor],
+    ) -> Tensor:
+        for stage, skip in zip(list(self.up)[-self.blocks :], reversed(skips)):
+            x = stage(torch.cat([x, skip], dim=1), embedding)
         rest, amounts = self.leave(x).float().split([self.latent, LIGHTS], dim=1)
         known = condition[:, : self.latent].float()
         hidden = condition[:, self.latent, None].float()

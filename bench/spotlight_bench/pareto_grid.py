@@ -3,8 +3,8 @@
 The axes are those of `RelightOptions` that trade accuracy for time: solver, steps, steps in which
 the branches are contrasted, steps of the pass without shadow, steps that share deep features,
 window. Combinations that come to the same plan (half of two steps and half of three, rounded) are
-one candidate. Guidance in some steps is the dearest saving, and is not combined with shared
-features.
+one candidate. Every saving is combined with all solvers and steps; of guidance in some steps,
+shared features and a tight window only one at a time, for they save the same evaluations or none.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class Grid:
 
 FULL: Final = Grid(
     solvers=("ddim", "dpmpp_2m", "unipc"),
-    steps=(20, 12, 8, 6, 5, 4, 3, 2, 1),
-    intervals=((0.0, 1.0), (0.0, 0.5), (0.5, 1.0)),
-    plain=(1.0, 0.5, 0.25),
+    steps=(20, 12, 8, 6, 4, 3, 2, 1),
+    intervals=((0.0, 1.0), (0.0, 0.5)),
+    plain=(1.0, 0.5),
     windows=("auto", "tight"),
     reuses=(1, 2, 3),
 )
@@ -143,8 +143,9 @@ def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]
         # Contrasted in no step at all, the light would not steer the object's shading.
         unguided = first >= last
         another = solver != "ddim" and steps == 1  # all solvers take one step alike
-        both = reuse > 1 and (first, last) != (0, steps)
-        if steps > own_steps or unguided or another or both or key in seen:
+        savings = ((first, last) != (0, steps), reuse > 1, window != "auto")
+        crossed = sum(savings) > 1
+        if steps > own_steps or unguided or another or crossed or key in seen:
             continue
         seen.add(key)
         options: dict[str, Any] = {"solver": solver, "steps": steps}

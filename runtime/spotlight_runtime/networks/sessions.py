@@ -163,7 +163,7 @@ def open_graph(
     options.log_severity_level = 3
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     # Without VNNI, unsigned times signed bytes are added in 16 bits that saturate: a third of a
-    # layer's result can be missing. Unsigned weights are not faster, but exact on every processor.
+    # layer's result can be missing. Unsigned weights are slower there, but exact.
     options.add_session_config_entry("session.x64quantprecision", "1")
     path = folder / contract.file_name
     try:

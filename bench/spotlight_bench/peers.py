@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -85,30 +85,35 @@ class Row:
     Attributes
     ----------
     peer : Peer
-    plan : str
-    evaluations : int
-    evaluation_seconds, relight_seconds : float
-        Medians over rounds.
-    times_ours, relight_times_ours : float
-        How many times our first peer's (our balanced relight's) seconds it takes; medians of the
-        ratios of one round.
+    evaluation_seconds : float
+        Median over rounds, as are the relight's.
+    times_ours : float
+        How many times our first peer's seconds it takes; median of the ratios of one round.
     peak_memory_bytes : int or None
     load_seconds : float
-    evaluation_error, relight_error : float
-        Relative L2 error of a prediction, and of the picture, against the first peer's.
+    evaluation_error : float
+        Relative L2 error of a prediction against the first peer's.
+    plan : str
+        Empty where no relight was run; what follows is None then.
+    evaluations : int or None
+    relight_seconds : float or None
+    relight_times_ours : float or None
+        Against our balanced relight.
+    relight_error : float or None
+        Of the picture.
     """
 
     peer: Peer
-    plan: str
-    evaluations: int
     evaluation_seconds: float
-    relight_seconds: float
     times_ours: float
-    relight_times_ours: float
     peak_memory_bytes: int | None
     load_seconds: float
     evaluation_error: float
-    relight_error: float
+    plan: str = ""
+    evaluations: int | None = None
+    relight_seconds: float | None = None
+    relight_times_ours: float | None = None
+    relight_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +156,7 @@ def measure(
     threads : int
     rounds : int
     relights : int
-        In so many first rounds whole relights are run.
+        In so many first rounds whole relights are run; 0: evaluations alone.
     evaluations : int
         Timed a round and peer.
 
@@ -188,27 +193,34 @@ def rows(peers: Sequence[Peer], measured: Sequence[Measured], output: Path) -> t
     """
     ours = next(peer for peer in peers if peer.engine == "spotlight")
     best = "balanced" if "balanced" in ours.plans else ours.plans[0]
-    found = []
+    found: list[Row] = []
     for peer in peers:
         own = [each for each in measured if each.peer == peer.name]
         memory = [m.peak_memory_bytes for m in own if m.peak_memory_bytes is not None]
-        for plan in peer.plans:
-            count = next(m.relight_evaluations[plan] for m in own if plan in m.relight_evaluations)
-            found.append(
-                Row(
-                    peer,
-                    plan,
-                    count,
-                    float(np.median([np.median(m.evaluation_seconds) for m in own])),
-                    float(np.median(list(_relights(own, plan).values()))),
-                    _ratio(_evaluations(own), _evaluations(_of(measured, ours))),
-                    _ratio(_relights(own, plan), _relights(_of(measured, ours), best)),
-                    max(memory, default=None),
-                    float(np.median([m.load_seconds for m in own])),
-                    _error(output, peer, peers[0], "predictions.npy", "predictions.npy"),
-                    _error(output, peer, peers[0], f"relight_{plan}.npy", "relight_release.npy"),
-                )
+        row = Row(
+            peer,
+            evaluation_seconds=float(np.median([np.median(m.evaluation_seconds) for m in own])),
+            times_ours=_ratio(_evaluations(own), _evaluations(_of(measured, ours))),
+            peak_memory_bytes=max(memory, default=None),
+            load_seconds=float(np.median([m.load_seconds for m in own])),
+            evaluation_error=_error(output, peer, peers[0], "predictions.npy", "predictions.npy"),
+        )
+        relit = [plan for plan in peer.plans if _relights(own, plan)]
+        found += [
+            replace(
+                row,
+                plan=plan,
+                evaluations=next(m.relight_evaluations[plan] for m in own if m.relight_seconds),
+                relight_seconds=float(np.median(list(_relights(own, plan).values()))),
+                relight_times_ours=_ratio(
+                    _relights(own, plan), _relights(_of(measured, ours), best)
+                ),
+                relight_error=_error(
+                    output, peer, peers[0], f"relight_{plan}.npy", "relight_release.npy"
+                ),
             )
+            for plan in relit
+        ] or [row]
     return tuple(found)
 
 

@@ -52,7 +52,11 @@ def peers(
     ] = None,
     relights: Annotated[
         int | None,
-        typer.Option(min=1, help="Turns with whole relights.", show_default="3, 1 at full size"),
+        typer.Option(
+            min=0,
+            help="Turns with whole relights; 0: evaluations alone.",
+            show_default="3, 1 at full size",
+        ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="One turn, few evaluations.")] = False,
     json_file: a.JsonFile = None,
@@ -85,7 +89,7 @@ def peers(
         for one in bench.measure(
             chosen, spec, output / "runs", side=SIZES[size].side, threads=threads,
             rounds=rounds or (QUICK_ROUNDS if quick else ROUNDS),
-            relights=1 if quick else relights or RELIGHTS[size],
+            relights=relights if relights is not None else 1 if quick else RELIGHTS[size],
             evaluations=QUICK_EVALUATIONS if quick else EVALUATIONS,
         ):  # fmt: skip
             measured.append(one)
@@ -103,11 +107,15 @@ def peers(
 
 
 def _cells(row: Row) -> list[str]:
-    memory = "–" if row.peak_memory_bytes is None else f"{row.peak_memory_bytes / 1e9:.2f}"
+    def known(value: float | None, how: str) -> str:
+        return "–" if value is None else format(value, how)
+
+    memory = None if row.peak_memory_bytes is None else row.peak_memory_bytes / 1e9
     return [
-        row.peer.label, row.plan, str(row.evaluations), f"{row.evaluation_seconds:.3g}",
-        f"{row.times_ours:.2f}", f"{row.relight_seconds:.3g}", f"{row.relight_times_ours:.2f}",
-        memory, f"{row.evaluation_error:.1e}", f"{row.relight_error:.1e}",
+        row.peer.label, row.plan or "–", known(row.evaluations, "d"),
+        f"{row.evaluation_seconds:.3g}", f"{row.times_ours:.2f}",
+        known(row.relight_seconds, ".3g"), known(row.relight_times_ours, ".2f"),
+        known(memory, ".2f"), f"{row.evaluation_error:.1e}", known(row.relight_error, ".1e"),
     ]  # fmt: skip
 
 

@@ -90,6 +90,16 @@ def test_ratios_are_of_the_same_round(pair, tmp_path):
     assert plain.peak_memory_bytes is None
 
 
+def test_evaluations_alone_say_nothing_of_relights(pair, backbone_folder, tmp_path):
+    asked = {"side": 64, "threads": 1, "rounds": 1, "relights": 0, "evaluations": 3}
+    found = list(measure(pair, backbone_folder, tmp_path, **asked))
+    plain, ours = rows(pair, found, tmp_path)
+    assert ours.times_ours == 1.0
+    for row in (plain, ours):
+        assert row.plan == ""
+        assert row.evaluations is row.relight_seconds is row.relight_error is None
+
+
 def test_a_peer_that_fails_is_named(pair, backbone_folder, tmp_path):
     broken = Peer("gone", "no such graphs", "onnxruntime", tmp_path / "nowhere")
     wish = {"side": 64, "threads": 1, "rounds": 1, "relights": 0, "evaluations": 1}

@@ -79,7 +79,7 @@ FULL: Final = Grid(
     solvers=("ddim", "dpmpp_2m", "unipc"),
     steps=(20, 12, 8, 6, 4, 3, 2, 1),
     intervals=((0.0, 1.0), (0.0, 0.5)),
-    plain=(1.0, 0.5),
+    plain=(1.0, 0.5, 0.25),
     windows=("auto", "tight"),
     reuses=(1, 2, 3),
 )

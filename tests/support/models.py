@@ -135,6 +135,18 @@ def sphere_arrays(radius: float, rings: int = 180) -> tuple[np.ndarray, np.ndarr
     return normals * np.float32(radius), faces.astype(np.int32), normals
 
 
+def obj_files(
+    folder: Path, *, material: str = "newmtl red\nKd 0.5 0.25 0.0\nNs 98\n", lines: str = ""
+) -> Path:
+    """An OBJ box with its material beside it, of which both texts can be given."""
+    (folder / "a.mtl").write_text(material)
+    vertices, faces = box_arrays((1, 1, 1))
+    text = "mtllib a.mtl\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in vertices)
+    text += lines + "usemtl red\n" + "".join(f"f {a} {b} {c}\n" for a, b, c in faces + 1)
+    (folder / "a.obj").write_text(text)
+    return folder / "a.obj"
+
+
 def write_box(
     path: Path, sides: tuple[float, float, float] = (1.0, 1.0, 1.0), **material: Any
 ) -> Path:

@@ -234,7 +234,7 @@ def _report(
     for name, text in texts.items():
         with replacing(output / name) as partial:
             partial.write_text(text, encoding="utf-8")
-    record = pareto_ladder.ladder_record(rungs, settings)
+    record = pareto_ladder.ladder_record(marked, settings)
     for path in (output / "ladder.json", *([] if ladder is None else [ladder])):
         write_json(path, record)
     if json_file is not None:

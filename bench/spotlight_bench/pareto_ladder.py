@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from spotlight_bench.errors import ResultsError
 from spotlight_bench.pareto_grid import EXACT
-from spotlight_bench.pareto_summary import NEAR, Point
+from spotlight_bench.pareto_summary import NEAR, Point, front
 
 __all__ = ["BALANCED_SHARE", "DRAFT_SHARE", "claims", "ladder_record", "name_rungs"]
 
@@ -66,18 +66,20 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
     return tuple(rungs)
 
 
-def ladder_record(rungs: Sequence[Point], measured: dict[str, Any]) -> dict[str, Any]:
-    """What `spotlight_runtime.planning.ladder` reads.
+def ladder_record(found: Sequence[Point], measured: dict[str, Any]) -> dict[str, Any]:
+    """What `spotlight_runtime.planning.ladder` reads: a ladder, and one for models without reuse.
 
     Parameters
     ----------
-    rungs : sequence of Point
+    found : sequence of Point
+        As `name_rungs` takes them.
     measured : dict
         On what: model, scenes.
     """
-    return {
-        "measured": measured,
-        "rungs": [
+    whole = front([point for point in found if "reuse" not in point.candidate.options])
+    ladders = {"rungs": name_rungs(found), "rungs_without_reuse": name_rungs(whole)}
+    return {"measured": measured} | {
+        name: [
             {
                 "name": point.rung,
                 "options": point.candidate.options,
@@ -85,7 +87,8 @@ def ladder_record(rungs: Sequence[Point], measured: dict[str, Any]) -> dict[str,
                 "fidelity_db": None if point.rung == EXACT else round(point.fidelity, 2),
             }
             for point in rungs
-        ],
+        ]
+        for name, rungs in ladders.items()
     }
 
 

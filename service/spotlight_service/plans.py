@@ -83,20 +83,22 @@ def predicted(relighter: Relighter) -> dict[str, float]:
     return {name: round(plan.seconds or 0.0, 3) for name, plan in found.items()}
 
 
-def offered(seconds: Mapping[str, float]) -> list[dict[str, Any]]:
+def offered(seconds: Mapping[str, float], reusable: bool) -> list[dict[str, Any]]:
     """The plans there are: what each leaves out, what it takes here, and what it costs.
 
     Parameters
     ----------
     seconds : mapping of str to float
         As `predicted` says; empty where nothing has been measured yet.
+    reusable : bool
+        Whether the model can reuse deep features between steps.
     """
     return [
         {
             "name": name,
-            "summary": _summary(named_rung(name)),
+            "summary": _summary(named_rung(name, reusable)),
             "seconds": seconds.get(name),
-            "loss_db": named_rung(name).loss_db,
+            "loss_db": named_rung(name, reusable).loss_db,
         }
         for name in get_args(PlanName)
     ]

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -155,15 +156,26 @@ def test_the_ladder_descends_on_the_front_and_names_what_fits(drawn):
 
 
 def test_the_runtime_reads_the_ladder(tmp_path):
-    rungs = name_rungs(swept([(0.5, 400), (0.2, 300), (0.07, 200)]))
-    path = tmp_path / "ladder.json"
-    path.write_text(json.dumps(ladder_record(rungs, {"scenes": 3})))
-    read = read_ladder(path)
+    found = swept([(0.5, 400), (0.2, 300), (0.07, 200)])
+    rungs, path = name_rungs(found), tmp_path / "ladder.json"
+    path.write_text(json.dumps(ladder_record(found, {"scenes": 3})))
+    read = read_ladder(path=path)
     assert [(rung.name, rung.options) for rung in read] == [
         (each.rung, each.candidate.options) for each in rungs
     ]
     assert [rung.name for rung in read] == [EXACT, "s0.5", "balanced", "draft"]
     assert [rung.fidelity_db for rung in read] == [None, 40.0, 30.0, 20.0]
+
+
+def test_models_without_reuse_have_a_ladder_of_their_own(tmp_path):
+    shared = point(0.1, 40.0, "shared")
+    shared = replace(shared, candidate=replace(shared.candidate, options={"reuse": 3}))
+    found = front([point(1.0, 100.0, EXACT), shared, point(0.2, 30.0, "steps")])
+    path = tmp_path / "ladder.json"
+    path.write_text(json.dumps(ladder_record(found, {})))
+    assert [rung.options for rung in read_ladder(path=path)][-1] == {"reuse": 3}
+    for rung in read_ladder(reusable=False, path=path):
+        assert "reuse" not in rung.options
 
 
 def test_claims_say_what_does_not_hold():
@@ -240,7 +252,8 @@ def test_a_run_writes_curve_table_and_ladder(finished):
     with Image.open(finished / "pareto.png") as picture:
         assert picture.width > 1000
         assert len(set(picture.convert("L").tobytes())) > 10  # something is drawn
-    assert read_ladder(finished.parent / "ladder.json") == read_ladder(finished / "ladder.json")
+    ladders = [read_ladder(path=f / "ladder.json") for f in (finished.parent, finished)]
+    assert ladders[0] == ladders[1]
     found = rows(finished / "pareto.csv")
     everything = json.loads((finished.parent / "all.json").read_text())
     names = [each.name for each in candidates(QUICK, 2, ("tiny",))]

@@ -32,8 +32,10 @@ def slow(relighter):
     return made
 
 
-def test_ladder_descends_and_has_the_named_plans():
-    rungs = read_ladder()
+@pytest.mark.parametrize("reusable", [True, False])
+def test_ladder_descends_and_has_the_named_plans(reusable):
+    rungs = read_ladder(reusable)
+    assert reusable or not any("reuse" in rung.options for rung in rungs)
     assert rungs[0].name == "exact"
     assert rungs[0].options == {}
     fidelity = [rung.fidelity_db for rung in rungs if rung.fidelity_db is not None]
@@ -41,7 +43,7 @@ def test_ladder_descends_and_has_the_named_plans():
 
 
 def test_a_named_plan_is_where_options_start(relighter, scene, shadow):
-    draft = named_rung("draft").options
+    draft = named_rung("draft", reusable=False).options
     made = relighter.relight(scene, shadow, plan="draft", denoise=False)
     same = relighter.relight(scene, shadow, denoise=False, **draft)
     np.testing.assert_array_equal(made.image, same.image)
@@ -56,13 +58,15 @@ def test_a_named_plan_is_where_options_start(relighter, scene, shadow):
 def test_a_budget_takes_the_most_accurate_plan_that_fits(slow, scene, shadow):
     seconds = {
         rung.name: slow.prepare(scene, shadow, denoise=False, **rung.options).plan.seconds
-        for rung in read_ladder()
+        for rung in read_ladder(reusable=False)
     }
-    for rung in read_ladder():
+    for rung in read_ladder(reusable=False):
         enough = seconds[rung.name] + 0.5
         plan = slow.prepare(scene, shadow, budget=enough, denoise=False).plan
         assert plan.seconds <= enough
-        fits = [other.name for other in read_ladder() if seconds[other.name] <= enough]
+        fits = [
+            other.name for other in read_ladder(reusable=False) if seconds[other.name] <= enough
+        ]
         assert plan.name == fits[0]
 
 

@@ -46,15 +46,23 @@ class Rung:
 
 
 @cache
-def read_ladder(path: Path = LADDER_FILE) -> tuple[Rung, ...]:
+def read_ladder(reusable: bool = True, path: Path = LADDER_FILE) -> tuple[Rung, ...]:
     """The rungs, the most accurate first.
+
+    Parameters
+    ----------
+    reusable : bool
+        Whether the model can reuse deep features between steps; there is a ladder for those that
+        cannot.
+    path : Path
 
     Raises
     ------
     ValueError
         If the file is not a ladder that ``spotlight-bench pareto`` writes.
     """
-    rungs = tuple(Rung(**record) for record in json.loads(path.read_text())["rungs"])
+    records = json.loads(path.read_text())["rungs" if reusable else "rungs_without_reuse"]
+    rungs = tuple(Rung(**record) for record in records)
     for rung in rungs:
         RelightOptions(**rung.options)  # raises where one is none
     if missing := set(get_args(PlanName)) - {rung.name for rung in rungs}:
@@ -62,8 +70,8 @@ def read_ladder(path: Path = LADDER_FILE) -> tuple[Rung, ...]:
     return rungs
 
 
-def named_rung(name: str) -> Rung:
-    """The rung of a named plan.
+def named_rung(name: str, reusable: bool = True) -> Rung:
+    """The rung of a named plan; see `read_ladder`.
 
     Raises
     ------
@@ -72,4 +80,4 @@ def named_rung(name: str) -> Rung:
     """
     if name not in get_args(PlanName):
         raise InvalidInputError(f"plan: expected {', '.join(get_args(PlanName))}, got {name!r}")
-    return next(rung for rung in read_ladder() if rung.name == name)
+    return next(rung for rung in read_ladder(reusable) if rung.name == name)

@@ -155,7 +155,7 @@ def prepare_task(
     BudgetError
         If no plan fits the budget.
     """
-    choices, budget = _choices(options, wishes)
+    choices, budget = _choices(options, wishes, reusable)
     known = costs(budget is not None)  # measured, if it must be, before the clock starts
     stopwatch = Stopwatch()
     denoising(spec, choices[0][1])  # an error about it now, not after shadows were cast
@@ -201,11 +201,11 @@ def check_wishes(wishes: Wishes, options: RelightOptions | None = None) -> None:
     ------
     InvalidInputError
     """
-    _choices(options, wishes)
+    _choices(options, wishes, reusable=True)
 
 
 def _choices(
-    options: RelightOptions | None, wishes: Wishes
+    options: RelightOptions | None, wishes: Wishes, reusable: bool
 ) -> tuple[list[tuple[str | None, RelightOptions]], float | None]:
     """Options to choose from, the most accurate first, and the budget to choose by."""
     changes: dict[str, Any] = dict(wishes)
@@ -214,10 +214,11 @@ def _choices(
     if plan is not None and budget is not None:
         raise InvalidInputError(f"plan, budget: expected one of them, got {plan!r} and {budget!r}")
     if plan is not None:
-        rung = named_rung(cast("str", plan))
+        rung = named_rung(cast("str", plan), reusable)
         return [(rung.name, replace(base, **(rung.options | changes)))], None
     if budget is None:
         return [(None, replace(base, **changes))], None
     if not isinstance(budget, int | float) or not 0.0 < budget < math.inf:
         raise InvalidInputError(f"budget: expected seconds above 0, got {budget!r}")
-    return [(r.name, replace(base, **(r.options | changes))) for r in read_ladder()], budget
+    rungs = read_ladder(reusable)
+    return [(r.name, replace(base, **(r.options | changes))) for r in rungs], budget

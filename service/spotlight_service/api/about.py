@@ -64,7 +64,8 @@ def metrics(service: Here) -> Response:
 
 def _plans(service: Service, model: str) -> list[dict[str, Any]]:
     measured = [facts["plans"] for facts in service.book.living().get(model, ())]
-    return plans.offered(next(filter(None, measured), {}))
+    graphs = {graph.name for graph in resolve_model(model).manifest.graphs}
+    return plans.offered(next(filter(None, measured), {}), "denoiser_shallow" in graphs)
 
 
 def model_facts(service: Service, name: str) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from spotlight_spec import write_json
 
 __all__ = ["Costs", "Line", "cache_path", "read_costs", "write_costs"]
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Of the cache file; files of another version are measured anew."""
 
 

@@ -23,6 +23,8 @@ __all__ = ["made_up_scene", "measure_costs"]
 Relight = Callable[[Scene, FloatArray, RelightOptions], RelightResult]
 
 STEPS: Final = 2
+REUSE: Final = 3
+"""As plans have it: a shallow evaluation after another is quicker than one after a whole one."""
 LARGE: Final = 4
 """Sides of the backbone's size in a photograph that is diffused in a window."""
 
@@ -44,11 +46,11 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
     """
     half, whole = spec.size // 2, spec.size
 
-    def run(side: int, reuse: int = 1) -> dict[str, float]:
+    def run(side: int, steps: int = STEPS, reuse: int = 1) -> dict[str, float]:
         scene, shadow = made_up_scene(side)
-        return relight(scene, shadow, RelightOptions(steps=STEPS, reuse=reuse, skip=False)).timings
+        return relight(scene, shadow, RelightOptions(steps=steps, reuse=reuse, skip=False)).timings
 
-    run(half, STEPS)  # opens the sessions
+    run(half, REUSE, REUSE)  # opens the sessions
     small, full, large = run(half), run(whole), run(LARGE * whole)
     scale = spec.latent.downscale
     latents = [float((side // scale) ** 2) for side in (half, whole, whole)]
@@ -59,9 +61,9 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
         return Line.through(latents, seconds)
 
     def shallow_at(side: int, whole: dict[str, float]) -> float:
-        again = run(side, STEPS)  # one of two evaluations is shallow
-        evaluation, both = (r["relight"] + r["no shadow"] for r in (whole, again))
-        return max(0.0, both - evaluation / STEPS) / (3 * (STEPS - 1))
+        again = run(side, REUSE, REUSE)  # all evaluations but the first are shallow
+        evaluations, both = (r["relight"] + r["no shadow"] for r in (whole, again))
+        return max(0.0, both - evaluations / STEPS) / (3 * (REUSE - 1))
 
     shallow = Line(0.0, 0.0)
     if reusable:

@@ -7,7 +7,7 @@ predicted later is what was measured here, by the same code.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -46,12 +46,14 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
     """
     half, whole = spec.size // 2, spec.size
 
-    def run(side: int, steps: int = STEPS, reuse: int = 1) -> dict[str, float]:
+    def run(side: int, steps: int = STEPS, reuse: int = 1, **how: Any) -> dict[str, float]:
         scene, shadow = made_up_scene(side)
-        return relight(scene, shadow, RelightOptions(steps=steps, reuse=reuse, skip=False)).timings
+        options = RelightOptions(steps=steps, reuse=reuse, skip=False, **how)
+        return relight(scene, shadow, options).timings
 
     run(half, REUSE, REUSE)  # opens the sessions
     small, full, large = run(half), run(whole), run(LARGE * whole)
+    tight = run(whole, 1, window="tight")
     scale = spec.latent.downscale
     latents = [float((side // scale) ** 2) for side in (half, whole, whole)]
     measured = (small, full, large)
@@ -77,7 +79,10 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
         frame=Line.through(
             [float(half**2), float(whole**2)], [small["composite"], full["composite"]]
         ),
-        window=Line(0.0, large["composite"] / (LARGE * whole) ** 2),
+        window=Line.through(
+            [float(whole**2), float((LARGE * whole) ** 2)],
+            [tight["composite"], large["composite"]],
+        ),
     )
 
 

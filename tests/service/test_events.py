@@ -27,7 +27,7 @@ def until(condition, seconds=30.0):
 
 
 def test_events_tell_a_job_from_its_beginning_to_its_end(client, scene):
-    job = client.relight(scene, [LIGHT], model="tiny", steps=60)
+    job = client.relight(scene, [LIGHT], model="tiny", steps=600)
     events = list(client.events(job))
     assert events[0].kind == "state"
     assert events[-1].kind == "done"

@@ -160,7 +160,7 @@ def open_graph(
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads or available_cpus()
     options.inter_op_num_threads = 1
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # what fails is raised, and need not be printed as well
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     # Threads that wait for more work keep the cores from the graph that runs next.
     options.add_session_config_entry("session.force_spinning_stop", "1")

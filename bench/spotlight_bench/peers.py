@@ -210,7 +210,9 @@ def rows(peers: Sequence[Peer], measured: Sequence[Measured], output: Path) -> t
             replace(
                 row,
                 plan=plan,
-                evaluations=next(m.relight_evaluations[plan] for m in own if m.relight_seconds),
+                evaluations=next(
+                    m.relight_evaluations[plan] for m in own if plan in m.relight_evaluations
+                ),
                 relight_seconds=float(np.median(list(_relights(own, plan).values()))),
                 relight_times_ours=_ratio(
                     _relights(own, plan), _relights(_of(measured, ours), best)

@@ -11,7 +11,6 @@ import numpy.typing as npt
 import onnxruntime as ort
 
 from spotlight_export.errors import VerificationError
-from spotlight_runtime.networks.sessions import EXACT_INT8
 
 __all__ = ["LEVELS", "Network", "open_graph"]
 
@@ -51,7 +50,8 @@ def open_graph(path: Path, level: str = "all", variant: bytes | None = None) -> 
     options.intra_op_num_threads = len(os.sched_getaffinity(0))
     options.log_severity_level = 3
     options.add_session_config_entry(EXTERNAL_DATA_FOLDER, str(path.parent))
-    options.add_session_config_entry(*EXACT_INT8)
+    # As the runtime runs it: without VNNI sums of products of bytes would saturate.
+    options.add_session_config_entry("session.x64quantprecision", "1")
     try:
         session = ort.InferenceSession(variant or path, options, providers=["CPUExecutionProvider"])
     except Exception as error:

@@ -30,7 +30,7 @@ from spotlight_spec import GraphContract
 if TYPE_CHECKING:
     import onnxruntime as ort
 
-__all__ = ["EXACT_INT8", "Network", "OnnxGraph", "available_cpus", "open_graph"]
+__all__ = ["Network", "OnnxGraph", "available_cpus", "open_graph"]
 
 Network = Callable[..., dict[str, npt.NDArray[Any]]]
 """``network(**named_arrays)`` → named arrays, names as in the graph's contract."""
@@ -38,9 +38,6 @@ Network = Callable[..., dict[str, npt.NDArray[Any]]]
 DEFAULT_PROVIDERS: Final = ("CPUExecutionProvider",)
 EVERY_STEP: Final = ("denoiser", "denoiser_shallow", "controlnet", "unet")
 """Graphs that run every step and keep their working memory; the others give it back."""
-EXACT_INT8: Final = ("session.x64quantprecision", "1")
-"""A setting of sessions: without VNNI, unsigned times signed bytes are added in 16 bits that
-saturate, and a third of a layer can be missing. Unsigned weights are slower there, but exact."""
 _CGROUP: Final = Path("/sys/fs/cgroup")
 _DTYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
@@ -167,7 +164,9 @@ def open_graph(
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     # Threads that wait for more work keep the cores from the graph that runs next.
     options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.add_session_config_entry(*EXACT_INT8)
+    # Without VNNI, unsigned times signed bytes are added in 16 bits that saturate: a third of a
+    # layer's result can be missing. Unsigned weights are slower there, but exact.
+    options.add_session_config_entry("session.x64quantprecision", "1")
     path = folder / contract.file_name
     try:
         session = _open_apart(

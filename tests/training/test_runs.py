@@ -18,7 +18,7 @@ from spotlight_training.loop import TrainingOptions  # noqa: E402
 from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
 from spotlight_training.ship import ship  # noqa: E402
 
-LIGHTS = 4
+LIGHTS = 6
 
 
 def made_up_scenes(count=2):
@@ -34,7 +34,7 @@ def made_up_scenes(count=2):
         scene["object_mask"] = 255 * disc
         scene["ambient"] = scene["ambient_background"] = 0.3 * albedo
         for light in range(LIGHTS):
-            side = (rows, columns, 1 - rows, 1 - columns)[light][..., None]
+            side = (rows, columns, 1 - rows, 1 - columns)[light % 4][..., None]
             scene["lights"][light] = scene["lights_background"][light] = side * albedo
         scene["ambient_weight"] = 1.0
     return scenes

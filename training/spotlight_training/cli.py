@@ -37,7 +37,7 @@ def render(
     stride: Annotated[
         int, typer.Option(min=1, help="Step between seeds, to share a range among processes.")
     ] = 1,
-    lights: Annotated[int, typer.Option(min=1, max=16, help="Dominant lights a scene.")] = 4,
+    lights: Annotated[int, typer.Option(min=1, max=16, help="Dominant lights a scene.")] = 6,
     evaluation: Annotated[
         bool,
         typer.Option(
@@ -148,7 +148,7 @@ def export_scene(
 def pack(
     records: Annotated[Path, typer.Argument(help="Folder of rendered scenes of one split.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Packed file to write.")],
-    lights: Annotated[int, typer.Option(help="Lights taken from each scene.")] = 4,
+    lights: Annotated[int, typer.Option(help="Lights taken from each scene.")] = 6,
 ) -> None:
     """Pack rendered scenes into one memory-mapped file to train from."""
     from .data import pack as pack_records

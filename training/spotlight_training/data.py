@@ -39,8 +39,8 @@ __all__ = [
 FloatArray = npt.NDArray[np.float32]
 
 SIDE: Final = 256
-LIGHTS: Final = 4
-COMPOSITES: Final = 0.4
+LIGHTS: Final = 6
+COMPOSITES: Final = 0.7
 """Share of pictures whose background is lit by another light than the object."""
 TWO_LIGHTS: Final = 0.15
 SMALLEST_CROP: Final = 0.6

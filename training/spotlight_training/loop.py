@@ -104,6 +104,7 @@ def train(
     run.mkdir(parents=True, exist_ok=True)
     device = torch.device(options.device)
     torch.set_flush_denormal(True)  # gradients of half-trained layers cost thirty times as much
+    half = _bfloat16_pays(device)
     model.to(device)
     averaged = _frozen_copy(model)
     trained = [p for p in model.parameters() if p.requires_grad]
@@ -119,7 +120,7 @@ def train(
             batch = {k: v.to(device, non_blocking=True) for k, v in batches.take().items()}
             for group in optimiser.param_groups:
                 group["lr"] = _learning_rate(step, options)
-            with torch.autocast(device.type, dtype=torch.bfloat16):
+            with torch.autocast(device.type, torch.bfloat16, enabled=half):
                 terms = loss(model, batch, generator)
             total = torch.stack([term.float() for term in terms.values()]).sum()
             if not torch.isfinite(total):
@@ -143,6 +144,11 @@ def train(
                 break
     batches.close()
     return averaged
+
+
+def _bfloat16_pays(device: torch.device) -> bool:
+    """Whether the processor multiplies bfloat16 itself; emulated, it is several times slower."""
+    return device.type != "cpu" or bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 def _learning_rate(step: int, options: TrainingOptions) -> float:

@@ -36,6 +36,8 @@ from spotlight_training.objectives import (
 __all__ = ["load_renderer", "load_vae", "train_intrinsics", "train_renderer", "train_vae"]
 
 MODEL_FILE = "model.safetensors"
+DEPTH = 6
+"""Blocks of the renderer's deep part."""
 
 
 def train_vae(
@@ -110,7 +112,7 @@ def train_renderer(
         Folder of the run.
     options : TrainingOptions
     width : int
-        Channels of the U-Net's first level; the others have two and four times as many.
+        Channels of the renderer at latent size; see `Denoiser`.
     side : int
         Of the training pictures; learning first at half size sees four times as many.
     start : Path, optional
@@ -183,9 +185,8 @@ def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
         channels[entry.name] = slice(start, start + entry.channels)
         start += entry.channels
     condition = ConditionEncoder(vae, channels)
-    widths = (width, 2 * width, 4 * width)
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule))
-    denoiser = Denoiser(spec.latent.channels, condition.channels, widths, alpha_bar)
+    denoiser = Denoiser(spec.latent.channels, condition.channels, width, DEPTH, alpha_bar)
     return Renderer(vae, condition, denoiser)
 
 

@@ -1,4 +1,4 @@
-"""The renderer: a U-Net over noisy latents and condition, predicting v."""
+"""The renderer: what the picture is, and how much of the noisy latents that leaves open."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from spotlight_training.networks.blocks import Attention, ResBlock, double, norm
 from spotlight_training.networks.condition import LIGHTS
@@ -20,72 +21,74 @@ HIDDEN_VARIANCE: Final = 0.05
 """The same where it is hidden, to begin with. Samples scatter by as much as the network does not
 yet see coming, so a short training wants it small: 0.3 left every latent its own colour."""
 
+TEMPERATURE: Final = 0.1
+"""Of a trained renderer: by how much s² is less than what was learned. What the network does not
+know of a picture it learns to leave to chance, latent by latent; but a latent's own chance is a
+blotch, so trained it paints nearly what it expects."""
+
+WIDER: Final = 3
+"""Channels of the deep part, in those of the part at latent size."""
+
+EMBEDDING: Final = 128
+
 
 class Denoiser(nn.Module):
-    """U-Net over (noisy latents, condition), predicting v.
+    """Network over (noisy latents, condition), predicting v.
 
-    The U-Net says what the picture is, ``m = p + r + Σ cₖ·lₖ``: the known picture p, and where
+    The network says what the picture is, ``m = p + r + Σ cₖ·lₖ``: the known picture p, and where
     shading is hidden so much of each of `LIGHTS`, and a rest (edges of shadows, gloss). How much of
     the noisy latents' difference from that is the picture's is not left to learn: were the picture
     m + s·n, the best prediction would be ``x₀ = m + αs²/(α²s²+σ²)·(z − αm)``, which is
     ``v = −σm + ασ(1−s²)/(α²s²+σ²)·(z − αm)``. s² is near 0 where shading is known, and a learned
-    number for each channel where it is hidden.
+    number for each channel where it is hidden; once trained, `TEMPERATURE` of it.
+
+    Where light comes from is told by shadows far from what it lights, so the deep part is a
+    transformer at half of the latents' size (Peebles & Xie 2023): each place of an object can ask
+    every dark place of the floor where it lies. The light it finds there, c, is as smooth as that
+    half size makes it; what is at latent size paints the rest. The network sees the noisy latents
+    blurred: light and shadow are wider than the blur, and what one latent alone could tell is
+    noise, which came out as mottled objects when it was seen.
 
     Parameters
     ----------
     latent, condition : int
         Channels of latents and condition.
-    widths : tuple of int
-        Channels of each level.
+    width : int
+        Channels at latent size; the deep part has `WIDER` times as many.
+    depth : int
+        Blocks of the deep part.
     alphas_cumprod : Tensor, shape (T,)
         ᾱ of every train timestep.
-    blocks : int
-        Residual blocks a level, down and up.
     """
 
     def __init__(
-        self,
-        latent: int,
-        condition: int,
-        widths: tuple[int, ...],
-        alphas_cumprod: Tensor,
-        blocks: int = 2,
+        self, latent: int, condition: int, width: int, depth: int, alphas_cumprod: Tensor
     ) -> None:
         super().__init__()
         self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
         self.log_variance = nn.Parameter(torch.full((latent,), math.log(HIDDEN_VARIANCE)))
-        self.latent, self.widths, self.blocks = latent, widths, blocks
-        embedding = 4 * widths[0]
-        self.embed = nn.Sequential(
-            nn.Linear(widths[0], embedding), nn.SiLU(), nn.Linear(embedding, embedding), nn.SiLU()
-        )
+        self.latent, self.width, self.depth = latent, width, depth
         self.shown = condition - LIGHTS * latent
-        self.enter = nn.Conv2d(latent + self.shown, widths[0], 3, padding=1)
-        self.down, self.up = nn.ModuleList(), nn.ModuleList()
-        channels, skips = widths[0], list[int]()
-        for level, width in enumerate(widths):
-            for _ in range(blocks):
-                self.down.append(_Stage(channels, width, embedding, attend=level > 0))
-                channels = width
-                skips.append(channels)
-            if level < len(widths) - 1:
-                self.down.append(nn.Conv2d(channels, channels, 3, stride=2, padding=1))
-        self.middle = _Stage(channels, channels, embedding, attend=True)
-        for level, width in reversed(list(enumerate(widths))):
-            for _ in range(blocks):
-                self.up.append(_Stage(channels + skips.pop(), width, embedding, attend=level > 0))
-                channels = width
-            if level > 0:
-                self.up.append(nn.Conv2d(channels, channels, 3, padding=1))
-        self.leave = nn.Sequential(
-            norm(channels), nn.SiLU(), nn.Conv2d(channels, latent + LIGHTS, 3, padding=1)
+        wide = WIDER * width
+        self.embed = nn.Sequential(
+            nn.Linear(width, EMBEDDING), nn.SiLU(), nn.Linear(EMBEDDING, EMBEDDING), nn.SiLU()
         )
-        nn.init.zeros_(self.leave[-1].weight)
+        self.enter = nn.Conv2d(latent + self.shown, width, 3, padding=1)
+        self.first = ResBlock(width, width, EMBEDDING)
+        self.down = nn.Conv2d(width, wide, 3, stride=2, padding=1)
+        self.deep = nn.ModuleList(_Block(wide, EMBEDDING) for _ in range(depth))
+        self.light = nn.Sequential(norm(wide), nn.SiLU(), nn.Conv2d(wide, LIGHTS, 1))
+        self.up = nn.Conv2d(wide, width, 3, padding=1)
+        self.last = ResBlock(2 * width, width, EMBEDDING)
+        self.leave = nn.Sequential(norm(width), nn.SiLU(), nn.Conv2d(width, latent, 3, padding=1))
+        for final in (self.light[-1], self.leave[-1]):
+            nn.init.zeros_(final.weight)
+            nn.init.zeros_(final.bias)
 
     @property
     def deep_channels(self) -> int:
-        """Channels of what comes up from below latent size."""
-        return self.widths[min(1, len(self.widths) - 1)]
+        """Channels of what comes up from below latent size: features and light."""
+        return self.width + LIGHTS
 
     def forward(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> Tensor:
         """Prediction v, shape of ``latents``; ``timestep`` is int64 (1,) or (B,)."""
@@ -93,74 +96,79 @@ class Denoiser(nn.Module):
 
     def whole(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction, and the deep features (B, `deep_channels`, h, w) that `shallow` takes."""
-        embedding, skips = self._enter(latents, timestep, condition)
-        deep = self._below(embedding, skips)
-        return self._leave(latents, timestep, condition, deep, embedding, skips), deep
+        embedding, x = self._enter(latents, timestep, condition)
+        deep = self._below(embedding, x)
+        return self._leave(latents, timestep, condition, deep, embedding, x), deep
 
     def shallow(self, latents: Tensor, timestep: Tensor, condition: Tensor, deep: Tensor) -> Tensor:
         """Prediction from another step's deep features: no more than runs at latent size."""
-        embedding, skips = self._enter(latents, timestep, condition)
-        return self._leave(latents, timestep, condition, deep, embedding, skips)
+        embedding, x = self._enter(latents, timestep, condition)
+        return self._leave(latents, timestep, condition, deep, embedding, x)
 
-    def _enter(
-        self, latents: Tensor, timestep: Tensor, condition: Tensor
-    ) -> tuple[Tensor, list[Tensor]]:
-        embedding = self.embed(_sinusoid(timestep, self.widths[0]).to(latents.dtype))
-        x = self.enter(torch.cat([latents, condition[:, : self.shown]], dim=1))
-        skips = []
-        for stage in list(self.down)[: self.blocks]:
-            x = stage(x, embedding)
-            skips.append(x)
-        return embedding, skips
+    def _enter(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = self.embed(_sinusoid(timestep, self.width).to(latents.dtype))
+        x = self.enter(torch.cat([_blurred(latents), condition[:, : self.shown]], dim=1))
+        return embedding, self.first(x, embedding)
 
-    def _below(self, embedding: Tensor, shown: list[Tensor]) -> Tensor:
-        skips = list(shown)
-        x = skips[-1]
-        for stage in list(self.down)[self.blocks :]:
-            if isinstance(stage, _Stage):
-                x = stage(x, embedding)
-                skips.append(x)
-            else:
-                x = stage(x)
-        x = self.middle(x, embedding)
-        for stage in list(self.up)[: -self.blocks]:
-            if isinstance(stage, _Stage):
-                x = stage(torch.cat([x, skips.pop()], dim=1), embedding)
-            else:
-                x = stage(double(x, like=skips[-1]))
-        return x
+    def _below(self, embedding: Tensor, shown: Tensor) -> Tensor:
+        x = self.down(shown)
+        for block in self.deep:
+            x = block(x, embedding)
+        light = functional.interpolate(self.light(x), scale_factor=2.0, mode="bilinear")
+        light = light[..., : shown.shape[-2], : shown.shape[-1]]
+        return torch.cat([double(self.up(x), like=shown), light.to(x.dtype)], dim=1)
 
     def _leave(
         self,
         latents: Tensor,
         timestep: Tensor,
         condition: Tensor,
-        x: Tensor,
+        deep: Tensor,
         embedding: Tensor,
-        skips: list[Tensor],
+        shown: Tensor,
     ) -> Tensor:
-        for stage, skip in zip(list(self.up)[-self.blocks :], reversed(skips)):
-            x = stage(torch.cat([x, skip], dim=1), embedding)
-        rest, amounts = self.leave(x).float().split([self.latent, LIGHTS], dim=1)
+        features, amounts = deep.split([self.width, LIGHTS], dim=1)
+        x = self.last(torch.cat([features, shown], dim=1), embedding)
+        rest, amounts = self.leave(x).float(), amounts.float()
         known = condition[:, : self.latent].float()
         hidden = condition[:, self.latent, None].float()
         lights = condition[:, self.shown :].float().unflatten(1, (LIGHTS, self.latent))
         mean = known + rest + (amounts[:, :, None] * lights).sum(dim=1)
         variance = KNOWN_VARIANCE + hidden * self.log_variance.exp()[None, :, None, None]
+        variance = variance if self.training else TEMPERATURE * variance
         level = self.alphas_cumprod[timestep][:, None, None, None]
         alpha, sigma = level.sqrt(), (1 - level).sqrt()
         share = alpha * sigma * (1 - variance) / (level * variance + 1 - level)
         return share * (latents.float() - alpha * mean) - sigma * mean
 
 
-class _Stage(nn.Module):
-    def __init__(self, inputs: int, outputs: int, embedding: int, *, attend: bool) -> None:
+class _Block(nn.Module):
+    """Attention over all places, then two layers a place with a look at its neighbours between."""
+
+    def __init__(self, channels: int, embedding: int) -> None:
         super().__init__()
-        self.block = ResBlock(inputs, outputs, embedding)
-        self.attention = Attention(outputs) if attend else nn.Identity()
+        self.attention = Attention(channels)
+        self.norm = norm(channels)
+        self.modulate = nn.Linear(embedding, 2 * channels)
+        self.grow = nn.Conv2d(channels, 2 * channels, 1)
+        self.mix = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1, groups=2 * channels)
+        self.shrink = nn.Conv2d(2 * channels, channels, 1)
+        nn.init.zeros_(self.shrink.weight)
+        nn.init.zeros_(self.modulate.weight)
+        nn.init.zeros_(self.modulate.bias)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
-        return self.attention(self.block(x, embedding))
+        x = self.attention(x)
+        scale, shift = self.modulate(embedding)[:, :, None, None].chunk(2, dim=1)
+        h = self.norm(x) * (1 + scale) + shift
+        return x + self.shrink(functional.silu(self.mix(self.grow(h))))
+
+
+def _blurred(latents: Tensor) -> Tensor:
+    """Two 3×3 means: noise is left by a quarter."""
+    for _ in range(2):
+        latents = functional.avg_pool2d(latents, 3, 1, 1, count_include_pad=False)
+    return latents
 
 
 def _sinusoid(timestep: Tensor, channels: int) -> Tensor:

@@ -19,7 +19,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 demo:           ## relight a scene that comes along from eight directions: demo.png
 	test -x $(BIN)/spotlight || python3 -m venv $(VENV)
 	test -x $(BIN)/spotlight || $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[scene]'
-	$(BIN)/spotlight demo -o demo.png
+	$(BIN)/spotlight demo --scene berries -o demo.png
 
 test: lint types unit edge ## all that must pass before a change lands
 

@@ -248,7 +248,7 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
         "guidance": negatives * condition,
         "shadow blending": encode * sum(sum(p.encoded) for p in plan.passes),
         "pass without shadow": (condition + decode) * ran,
-        "composite": costs.composite(facts.pixels, facts.native),
+        "composite": len(plan.passes) * costs.composite(facts.pixels, facts.native),
     }
     priced = tuple(
         effect

@@ -21,7 +21,7 @@ HIDDEN_VARIANCE: Final = 0.05
 """The same where it is hidden, to begin with. Samples scatter by as much as the network does not
 yet see coming, so a short training wants it small: 0.3 left every latent its own colour."""
 
-TEMPERATURE: Final = 0.1
+TEMPERATURE: Final = 0.3
 """Of a trained renderer: by how much s² is less than what was learned. What the network does not
 know of a picture it learns to leave to chance, latent by latent; but a latent's own chance is a
 blotch, so trained it paints nearly what it expects."""

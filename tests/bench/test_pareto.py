@@ -279,7 +279,7 @@ def test_a_stopped_run_goes_on_and_a_finished_one_makes_nothing(run, finished, t
     assert "--resume" in str(refused.exception)
     lines = (finished / "results.jsonl").read_text().splitlines(keepends=True)
     (output / "results.jsonl").write_text("".join(lines[:9]) + lines[9][:20])
-    outcome = run(output, "--quick", "--resume", "--rounds", 1)
+    outcome = run(output, "--quick", "--resume", "--rounds", 3)
     assert outcome.exception is None, outcome.output
 
     def scores(path):

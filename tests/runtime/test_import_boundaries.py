@@ -63,7 +63,7 @@ def test_import_costs_little_more_than_the_libraries_it_stands_on():
         import spotlight_runtime
         print((time.process_time() - start) / libraries)
     """
-    assert min(float(run(script)) for _ in range(5)) < 3.0
+    assert min(float(run(script)) for _ in range(5)) < 2.5
 
 
 def test_public_names_are_there():

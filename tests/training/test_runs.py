@@ -12,13 +12,18 @@ from support.scenes import make_scene, make_shadow  # noqa: E402
 from spotlight_runtime import Relighter, RelightOptions  # noqa: E402
 from spotlight_runtime.networks.models import open_networks, resolve_model  # noqa: E402
 from spotlight_training import runs  # noqa: E402
-from spotlight_training.data import SIDE, IntrinsicsData, Packed, RendererData, draw_picture  # noqa: E402
+from spotlight_training.data import (  # noqa: E402
+    LIGHTS,
+    SIDE,
+    IntrinsicsData,
+    Packed,
+    RendererData,
+    draw_picture,
+)
 from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402
 from spotlight_training.loop import TrainingOptions  # noqa: E402
 from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
 from spotlight_training.ship import ship  # noqa: E402
-
-LIGHTS = 6
 
 
 def made_up_scenes(count=2):

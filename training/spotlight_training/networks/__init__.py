@@ -1,7 +1,7 @@
 """The embedded backbone's networks: a small VAE, a latent renderer, and an intrinsics estimator.
 
-Sized for two CPU cores. All of them are convolutional with dynamic height and width (multiples of
-8 pixels, odd latent sizes included), so the exported graphs take any picture.
+Sized for two CPU cores. All of them take any height and width (multiples of 8 pixels, odd latent
+sizes included), and so do the exported graphs.
 
 * `VAE`: 8× down, on the principal components of patches.
 * `ConditionEncoder` and `Denoiser`: the renderer. Intrinsic maps enter as latents concatenated to

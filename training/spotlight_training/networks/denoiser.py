@@ -67,7 +67,7 @@ class Denoiser(nn.Module):
         super().__init__()
         self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
         self.log_variance = nn.Parameter(torch.full((latent,), math.log(HIDDEN_VARIANCE)))
-        self.latent, self.width, self.depth = latent, width, depth
+        self.latent, self.width = latent, width
         self.shown = condition - LIGHTS * latent
         wide = WIDER * width
         self.embed = nn.Sequential(

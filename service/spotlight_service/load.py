@@ -138,6 +138,7 @@ async def load(
         }
         for i in range(requests)
     ]
+    asked = [(body, request_digest(RelightRequest(**body), [])[0]) for body in bodies]
     limits = httpx.Limits(max_connections=clients + 50, max_keepalive_connections=clients)
     async with httpx.AsyncClient(base_url=address, timeout=120.0, limits=limits) as http:
         watching = asyncio.create_task(_memory(http, tally))
@@ -147,7 +148,7 @@ async def load(
             *(sys.executable, "-c", PROBE, *where), stdout=asyncio.subprocess.PIPE
         )
         crowd = [
-            asyncio.create_task(_client(http, tally, bodies, until, random.Random(seed * 7919 + i)))
+            asyncio.create_task(_client(http, tally, asked, until, random.Random(seed * 7919 + i)))
             for i in range(clients)
         ]
         await asyncio.gather(*crowd)
@@ -160,16 +161,15 @@ async def load(
 async def _client(
     http: httpx.AsyncClient,
     tally: Tally,
-    bodies: list[dict[str, Any]],
+    asked: list[tuple[dict[str, Any], str]],
     until: float,
     chance: random.Random,
 ) -> None:
     await asyncio.sleep(chance.uniform(0.0, 2.0))
     while time.monotonic() < until:
-        number = chance.randrange(len(bodies))
-        digest, _ = request_digest(RelightRequest(**bodies[number]), [])
+        number = chance.randrange(len(asked))
         try:
-            pause = await _one(http, tally, number, bodies[number], digest, chance)
+            pause = await _one(http, tally, number, *asked[number], chance)
         except httpx.HTTPError as error:
             tally.wrong.append(f"request {number}: {type(error).__name__} {error}")
             pause = 1.0
@@ -219,7 +219,8 @@ async def _one(
         if state == "failed":
             tally.wrong.append(f"request {number}: {look.json()['error']['detail']}")
         return 0.1
-    result = await http.get(f"/v1/jobs/{job}/result")
+    while (result := await http.get(f"/v1/jobs/{job}/result")).status_code == 429:
+        await asyncio.sleep(float(result.headers["Retry-After"]))
     _unexpected(tally, "GET result", result)
     tally.check(number, digest, result.headers.get("Spotlight-Request", ""), result.content)
     return 0.1

@@ -95,5 +95,6 @@ def test_a_key_is_asked_for_and_used(visit, tmp_path):
         page.get_by_label("API key").fill(key)
         page.get_by_role("button", name="Use it").click()
         take_sample(page)
+        page.close()  # or it would go on asking a service that is gone
     finally:
         guarded.stop()

@@ -31,7 +31,7 @@ __all__ = ["Bench", "main", "set_up"]
 
 IDLE_S: Final = 0.03
 """Between two looks into an empty queue: a twentieth of the shortest job there is."""
-NICENESS: Final = 15
+NICENESS: Final = 10
 """Behind the API and the studio, which people wait for; nothing is lost where these are idle."""
 BEAT_S: Final = 2.0
 

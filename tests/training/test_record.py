@@ -1,6 +1,7 @@
 """Records on disk: what comes back, how exact it is, and how damage is reported."""
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ pytest.importorskip("cv2", reason="the data renderer needs the training packages
 from spotlight_training.render import codec
 from spotlight_training.render.record import MapSet, SceneRecord, is_whole, record_path
 from spotlight_training.render.scenes import SceneOptions, describe
+from spotlight_training.render.sheet import write_sheet
 
 SIDE = 24
 
@@ -49,7 +51,7 @@ def test_round_trip_is_exact_to_the_promised_steps(tmp_path):
     record.save(path)
     assert path.name == "000002.scene.zip"
     assert is_whole(path)
-    assert not list(path.parent.glob("*.part"))
+    assert list(path.parent.iterdir()) == [path]
     loaded = SceneRecord.load(path)
     assert loaded.description == record.description
     assert set(loaded.lights) == set(record.lights)
@@ -195,3 +197,12 @@ def test_truth_never_brightens_the_photograph():
     truth = relit_truth(record, next(iter(record.lights)), photograph, exposure=1.0)
     assert truth.max() <= photograph.max()
     assert truth.min() < 0.2
+
+
+def test_two_processes_may_write_one_contact_sheet(tmp_path):
+    """Those that share a range of seeds write the same sheet, at times in the same moment."""
+    sheet = tmp_path / "sheet_000000.png"
+    rows = [np.zeros((8, 480, 3), np.uint8)]
+    with ThreadPoolExecutor(4) as several:
+        list(several.map(lambda _: write_sheet(sheet, rows), range(64)))
+    assert list(tmp_path.iterdir()) == [sheet]

@@ -9,13 +9,14 @@ itself only stores.
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from spotlight_spec import replacing
 
 from . import codec
 from .description import SceneDescription
@@ -186,14 +187,11 @@ class SceneRecord:
             f"shadow_{name}": codec.to_png(codec.encode_unit(s)) for name, s in self.shadows.items()
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Its own name for each process, so that two that were started on one folder cannot mix.
-        temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as file:
+        with replacing(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as file:
             # A fixed date, so that equal content gives equal bytes.
             file.writestr(zipfile.ZipInfo(_DESCRIPTION), self.description.to_json())
             for name, data in members.items():
                 file.writestr(zipfile.ZipInfo(f"{name}.png"), data)
-        os.replace(temporary, path)
 
     @staticmethod
     def load(path: Path | str) -> SceneRecord:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
+
+from spotlight_spec import replacing
 
 from .mesh import Array
 from .record import SceneRecord
@@ -71,9 +72,8 @@ def write_sheet(path: Path, rows: Sequence[Array]) -> None:
         )
     picture = np.concatenate([title, *rows], axis=0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part.png")
-    cv2.imwrite(str(temporary), picture[..., ::-1])
-    os.replace(temporary, path)
+    with replacing(path, keep_suffix=True) as partial:
+        cv2.imwrite(str(partial), picture[..., ::-1])
 
 
 def _grey(plane: Array) -> Array:

@@ -11,7 +11,14 @@ from typer.testing import CliRunner
 from spotlight_runtime import Relighter, RelightOptions
 from spotlight_runtime.cli import app
 from spotlight_runtime.errors import BudgetError, InvalidInputError
-from spotlight_runtime.planning.costs import Costs, Line, cache_path, read_costs, write_costs
+from spotlight_runtime.planning.costs import (
+    Costs,
+    Line,
+    Pace,
+    cache_path,
+    read_costs,
+    write_costs,
+)
 from spotlight_runtime.planning.ladder import LADDER_FILE, named_rung, read_ladder
 
 SLOW = Costs(
@@ -96,6 +103,36 @@ def test_predicted_seconds_are_those_of_the_calls(slow, scene, shadow):
     calls = plan.calls()
     others = calls["condition_encoder"] + calls["vae_encoder"] + calls["vae_decoder"] + 1
     assert plan.seconds == pytest.approx(prepared + calls["denoiser"] + 0.1 * others)
+
+
+@pytest.mark.parametrize("factor", [0.4, 0.9, 3.0])
+def test_pace_follows_the_machine(factor):
+    pace = Pace()
+    for _ in range(40):
+        pace.learn(pace.of(SLOW).evaluation.at(0), factor)
+    now = pace.of(SLOW)
+    assert now.evaluation.fixed == pytest.approx(factor, rel=0.01)
+    assert now.decode.fixed == pytest.approx(factor * SLOW.decode.fixed, rel=0.01)
+    assert Line(0.5, 2.0).slowed(3.0) == Line(1.5, 6.0)
+
+
+def test_one_relight_out_of_line_is_no_new_pace():
+    pace = Pace()
+    pace.learn(1.0, 1000.0)
+    assert 1.0 < pace.of(SLOW).evaluation.fixed < 1.2
+
+
+def test_predictions_follow_the_relights(slow, scene, shadow):
+    """The machine turns out to be far quicker than its costs say, and each relight shows it."""
+    promised = []
+    for _ in range(20):
+        made = slow.relight(scene, shadow, steps=2, denoise=False)
+        promised.append(made.plan.seconds / sum(made.timings.values()))
+    assert promised[0] > 10.0
+    assert promised[-1] < 0.25 * promised[0]
+    assert slow.costs == SLOW
+    slow.calibrated(again=True)
+    assert slow._costs_for(True) == slow.costs
 
 
 def test_machine_is_measured_once_and_remembered(backbone, monkeypatch, tmp_path, scene, shadow):

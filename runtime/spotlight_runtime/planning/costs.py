@@ -20,10 +20,14 @@ import numpy as np
 
 from spotlight_spec import write_json
 
-__all__ = ["Costs", "Line", "cache_path", "read_costs", "write_costs"]
+__all__ = ["Costs", "Line", "Pace", "cache_path", "read_costs", "write_costs"]
 
 VERSION: Final = 4
 """Of the cache file; files of another version are measured anew."""
+TRUST: Final = 0.2
+"""Share of a relight's surprise that the next prediction takes on: a single one may be chance."""
+SURPRISE: Final = math.log(2.0)
+"""The most that counts: one that opened sessions, or stood still meanwhile, took much longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,10 @@ class Line:
     def at(self, size: float) -> float:
         """Seconds at a size."""
         return self.fixed + self.each * size
+
+    def slowed(self, factor: float) -> Line:
+        """The line where everything takes so many times as long."""
+        return Line(self.fixed * factor, self.each * factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +109,35 @@ class Costs:
                 if not (isinstance(value, float) and math.isfinite(value) and value >= 0.0):
                     raise ValueError(f"{name}: expected seconds, got {value!r}")
         return cls(**lines)
+
+
+class Pace:
+    """How long relights have taken of late, in multiples of what costs add up to.
+
+    Costs are measured once, and a machine does not stay as it was then: it warms up, it is shared,
+    and what runs for minutes runs slower than what ran for a second. Not kept with the costs, as
+    the next process may meet another day.
+    """
+
+    def __init__(self) -> None:
+        self._log = 0.0
+
+    def learn(self, predicted: float, actual: float) -> None:
+        """Take note of a relight.
+
+        Parameters
+        ----------
+        predicted, actual : float
+            Seconds above 0; predicted at this pace.
+        """
+        surprise = math.log(actual / predicted)
+        self._log += TRUST * min(max(surprise, -SURPRISE), SURPRISE)
+
+    def of(self, costs: Costs) -> Costs:
+        """Costs at this pace."""
+        factor = math.exp(self._log)
+        lines = {name: getattr(costs, name) for name in Costs.__dataclass_fields__}
+        return Costs(**{name: line.slowed(factor) for name, line in lines.items()})
 
 
 def cache_path(model: str, threads: int | None) -> Path:

@@ -19,7 +19,7 @@ from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
 from spotlight_runtime.networks.models import LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
-from spotlight_runtime.planning.costs import Costs, cache_path, read_costs, write_costs
+from spotlight_runtime.planning.costs import Costs, Pace, cache_path, read_costs, write_costs
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.planning.plan import Plan
 from spotlight_runtime.relighting import passes
@@ -57,7 +57,8 @@ class Relighter:
     Attributes
     ----------
     costs : Costs or None
-        What they cost, to predict times with; None where it was not measured yet.
+        What the stages cost, as measured; None where they were not yet. Predictions follow what
+        relights took since (`spotlight_runtime.planning.costs.Pace`).
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Relighter:
         self._remembered = Remembered(remember)
         self._costs_file = costs_file
         self.costs = None if costs_file is None else read_costs(costs_file)
+        self._pace = Pace()
 
     @classmethod
     def load(
@@ -262,6 +264,7 @@ class Relighter:
                 lambda scene, shadow, options: measured.relight(scene, shadow, options=options),
                 reusable=self._reusable,
             )
+            self._pace = Pace()
             if self._costs_file is not None:
                 write_costs(self._costs_file, self.costs)
         return self.costs
@@ -280,7 +283,10 @@ class Relighter:
         predicted = [self._develop(task, z) for z in latents]
         no_shadow = self._no_shadow(task, plain, predicted[0])
         self._release("vae_decoder")
-        return result(self.spec, task, predicted, no_shadow, self._model)
+        made = result(self.spec, task, predicted, no_shadow, self._model)
+        if made.plan.seconds:
+            self._pace.learn(made.plan.seconds, sum(made.timings.values()))
+        return made
 
     def start_each(self, task: Task) -> Generator[Progress | RelightResult, None, None]:
         """`run_each`, of what `prepare` made."""
@@ -344,7 +350,8 @@ class Relighter:
         return "denoiser_shallow" in self._networks
 
     def _costs_for(self, needed: bool) -> Costs | None:
-        return self.calibrated() if needed else self.costs
+        costs = self.calibrated() if needed else self.costs
+        return None if costs is None else self._pace.of(costs)
 
     def _inputs(self, task: Task, number: int) -> LoopInputs:
         prepared, planned = task.prepared, task.plan.passes[number]

@@ -120,7 +120,7 @@ def textured(large):
     return replace(large, object_maps=maps)
 
 
-def put_back_perfectly(scene, shadow, scale):
+def put_back_perfectly(scene, shadow, scale, gamma=1.0, distort=lambda picture: picture):
     """A renderer that is right, at the model's scale: what comes back, and what should."""
     cleared = shadow * (1 - scene.object_mask)
     left = (1 - DARKNESS * shadow)[..., None] * (1 - scene.object_mask[..., None])
@@ -137,8 +137,9 @@ def put_back_perfectly(scene, shadow, scale):
         cv2.GaussianBlur(linear_to_gamma22(p), (0, 0), 0.5)
         for p in (shrink(truth, window.size), plain)
     ]
+    encoded[0] = distort(encoded[0])
     made = window_layer(
-        SPEC, Canvas.of(scene), window, shadow, view, small_shadow, *encoded, "paper"
+        SPEC, Canvas.of(scene), window, shadow, view, small_shadow, *encoded, "paper", gamma
     )
     image = put_back(Canvas.of(scene), window, [made], Mix.of([GuidingShadow(shadow)]))
     enlarged = cv2.resize(
@@ -163,6 +164,28 @@ def test_a_predicted_shadow_follows_the_guiding_shadow(large, shadows, scale):
     image, truth, _ = put_back_perfectly(large, shadows[0], scale)
     inside = (shadows[0] > 0.3) & (large.object_mask == 0)
     assert psnr(image, truth, inside) > 36.0
+
+
+def test_latents_that_are_guided_too_leave_no_dark_squares(large, shadows):
+    """Guidance makes the shadow in the object's own latents too dark, background and all."""
+    scale, (rows, columns) = 4, (90 // 8, 120 // 8)
+    mask = shrink(large.object_mask, (90, 120))[: rows * 8, : columns * 8]
+    share = mask.reshape(rows, 8, columns, 8).mean(axis=(1, 3))
+
+    def blackened(picture):
+        found = picture.copy()
+        shared = (share > 0.05).repeat(8, axis=0).repeat(8, axis=1) & (mask < 0.5)
+        found[: rows * 8, : columns * 8][shared] *= 0.1
+        return found
+
+    beside = (shadows[0] > 0.3) & (large.object_mask == 0)
+    beside &= cv2.dilate(large.object_mask, np.ones((25, 25))) > 0
+    believed, doubted = (
+        psnr(*put_back_perfectly(large, shadows[0], scale, gamma, blackened)[:2], beside)
+        for gamma in (1.0, 3.0)
+    )
+    assert believed < 22.0
+    assert doubted > 30.0
 
 
 def test_hard_shadow_edges_stay_hard(large):

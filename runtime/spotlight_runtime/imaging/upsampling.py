@@ -76,8 +76,9 @@ def fit_guided(
     guide: FloatArray,
     *,
     ridge: Sequence[float],
-    usual: Sequence[float],
+    usual: Sequence[float] | Sequence[FloatArray],
     leftover: FloatArray | None = None,
+    reach: float = FIT_SIGMA,
 ) -> GuidedFit:
     """Fit a small picture to its guide, locally.
 
@@ -90,11 +91,13 @@ def fit_guided(
         The guide at the same size; G may be 0.
     ridge : sequence of G + 1 float
         Penalty on the square of each coefficient, the constant's last.
-    usual : sequence of G + 1 float
+    usual : sequence of G + 1 float, or of ndarray of float32 of shape (h, w)
         Coefficients where nothing is known.
     leftover : ndarray of float32, shape (h, w, G + 1), optional
         How much of what the fit leaves over goes to each coefficient; times guide and one, they
         add up to one. By default all of it goes to the constant.
+    reach : float
+        Standard deviation, in small pixels, of the neighbourhood that decides.
 
     Returns
     -------
@@ -105,18 +108,18 @@ def fit_guided(
     basis[..., :-1] = guide
     weights = weights.astype(np.float64)
     prior = PRIOR * (float(weights.mean()) or 1.0)
-    near = _spread(weights, FIT_SIGMA) + prior
+    near = _spread(weights, reach) + prior
     products = np.empty((*values.shape, count, count))
     moments = np.empty((*values.shape, count))
     for i in range(count):
         for j in range(i, count):
-            smooth = _spread(weights * basis[..., i] * basis[..., j], FIT_SIGMA)
+            smooth = _spread(weights * basis[..., i] * basis[..., j], reach)
             products[..., i, j] = products[..., j, i] = smooth
         products[..., i, i] += ridge[i] * near + prior
-        moments[..., i] = _spread(weights * basis[..., i] * values, FIT_SIGMA) + prior * usual[i]
+        moments[..., i] = _spread(weights * basis[..., i] * values, reach) + prior * usual[i]
     solved = np.linalg.solve(products, moments[..., None])[..., 0]
     for i in range(count):  # neighbouring fits agree on one by their weights
-        solved[..., i] = (_spread(weights * solved[..., i], FIT_SIGMA) + prior * usual[i]) / near
+        solved[..., i] = (_spread(weights * solved[..., i], reach) + prior * usual[i]) / near
     left = weights * (values - np.einsum("hwi,hwi->hw", solved, basis))
     close = _spread(weights, LEFTOVER_SIGMA) + prior
     if leftover is None:

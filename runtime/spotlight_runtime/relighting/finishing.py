@@ -37,7 +37,7 @@ def layer(
     predicted, no_shadow : ndarray of float32, shape (h, w, 3)
         As `develop` returns them.
     options : RelightOptions
-        ``fidelity`` and ``detail`` apply.
+        ``fidelity``, ``detail`` and ``gamma`` apply.
 
     Returns
     -------
@@ -58,6 +58,7 @@ def layer(
         predicted,
         no_shadow,
         fidelity,
+        options.gamma,
     )
 
 

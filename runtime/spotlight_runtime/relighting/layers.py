@@ -38,6 +38,11 @@ FULL_CHANGE: Final = 0.3
 """Guiding shadow from which the predicted ratio counts in full; it counts from the threshold of
 the shading mask on, and between the two it sets in smoothly, for a photograph shows a step there.
 """
+AROUND: Final = 8.0
+"""Pixels of the model's scale from which a ratio comes where the prediction itself is of no use."""
+GUIDED_TOO: Final = 0.1
+"""Guidance, (γ − 1) times the share that the object covers, from which a latent's background is not
+believed."""
 RATIO_RIDGE: Final = 1e-2
 """Keeps slopes small where the guiding shadow hardly varies."""
 
@@ -213,6 +218,7 @@ def window_layer(
     predicted: FloatArray,
     no_shadow: FloatArray,
     fidelity: Fidelity,
+    gamma: float = 1.0,
 ) -> WindowLayer:
     """Fit a window's predictions to the photograph's maps.
 
@@ -231,6 +237,8 @@ def window_layer(
     predicted, no_shadow : ndarray of float32, shape (h, w, 3)
         Encoded predictions.
     fidelity : {"paper", "release"}
+    gamma : float
+        γ of the prediction.
 
     Returns
     -------
@@ -246,8 +254,8 @@ def window_layer(
     around = np.float32(1.0) - dilate(mask)
     seen = around * around
     values = shadow_ratio(predicted, no_shadow)
-    mean = float((seen * values).sum()) / float(seen.sum()) if seen.any() else 1.0
-    ratio = fit_guided(values, seen, guide, ridge=(RATIO_RIDGE, 0.0), usual=(0.0, mean))
+    distorted = abs(gamma - 1.0) * _coverage(mask, spec.latent.downscale) > GUIDED_TOO
+    ratio = _fit_ratio(values, seen, guide, distorted)
     darkened = ratio.rows(guide, 0, len(mask), mask.shape, np.ones_like(mask))
     behind = encoded * np.clip(darkened, 0.0, 1.0)[..., None]
     balance = colour_balance(encoded, no_shadow, dilate(mask))
@@ -262,3 +270,34 @@ def window_layer(
         light=fit_light(small, np.maximum(own, 0.0)),
         everywhere=fidelity == "release",
     )
+
+
+def _fit_ratio(
+    values: FloatArray, seen: FloatArray, guide: FloatArray, distorted: BoolArray
+) -> GuidedFit:
+    """The ratio image as a function of the guiding shadow.
+
+    A latent that object and background share is guided as the object is, and what that makes of the
+    background in it, a shadow γ times too dark, is no ratio of anything. There the ratio is what
+    its guiding shadow makes it some latents around.
+    """
+    own = np.where(distorted, np.float32(0.0), seen)
+    seen = own if own.any() else seen
+    mean = float((seen * values).sum()) / float(seen.sum()) if seen.any() else 1.0
+    ridge, usual = (RATIO_RIDGE, 0.0), (0.0, mean)
+    if not distorted.any():
+        return fit_guided(values, seen, guide, ridge=ridge, usual=usual)
+    around = fit_guided(values, seen, guide, ridge=ridge, usual=usual, reach=AROUND)
+    nearby = tuple(np.moveaxis(around.coefficients, 2, 0))
+    return fit_guided(values, seen, guide, ridge=ridge, usual=nearby)
+
+
+def _coverage(mask: FloatArray, downscale: int) -> FloatArray:
+    """How much of each pixel's latent the object covers: what guidance counts there."""
+    height, width = mask.shape
+    cells = cv2.copyMakeBorder(
+        mask, 0, -height % downscale, 0, -width % downscale, cv2.BORDER_REPLICATE
+    )
+    rows, columns = (side // downscale for side in cells.shape)
+    share = cells.reshape(rows, downscale, columns, downscale).mean(axis=(1, 3))
+    return share.repeat(downscale, axis=0).repeat(downscale, axis=1)[:height, :width]

@@ -67,8 +67,7 @@ class ConditionEncoder(nn.Module):
         self.analysis, self.latent, self.slices = vae.analysis, vae.latent, slices
         channels = max(part.stop for part in slices.values())
         self.project = nn.Sequential(
-            nn.PixelUnshuffle(8),
-            nn.Conv2d(64 * channels, 2 * learned, 1),
+            nn.Conv2d(channels, 2 * learned, PATCH, stride=PATCH),
             nn.SiLU(),
             nn.Conv2d(2 * learned, learned, 3, padding=1),
         )
@@ -148,7 +147,7 @@ def surrounding_light(linear: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
         x = functional.avg_pool2d(x * known, PATCH)
         total = EVERYWHERE * x.mean(dim=(2, 3), keepdim=True) + prior
         for side, share in SURROUNDINGS:
-            total = total + share * functional.avg_pool2d(x, side, 1, side // 2)
+            total = total + share * box_mean(x, side)
         return total
 
     seen, white = around(linear, weight * light), around(albedo, weight)
@@ -156,3 +155,12 @@ def surrounding_light(linear: Tensor, albedo: Tensor, known: Tensor) -> Tensor:
     grey = seen.mean(dim=1, keepdim=True) / white.mean(dim=1, keepdim=True)
     coarse = (seen + believed * grey) / (white + believed)
     return functional.interpolate(coarse, scale_factor=PATCH, mode="bilinear")
+
+
+def box_mean(x: Tensor, side: int) -> Tensor:
+    """Mean of a square around each latent, zeros beyond the border.
+
+    One side after the other: the widest squares in one go were half of the encoder's time.
+    """
+    columns = functional.avg_pool2d(x, (side, 1), 1, (side // 2, 0))
+    return functional.avg_pool2d(columns, (1, side), 1, (0, side // 2))

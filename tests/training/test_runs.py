@@ -129,6 +129,11 @@ def test_run_folders_show_curve_and_samples(trained):
         }
 
 
+def test_who_trained_goes_on_with_the_smallest_floats(trained):
+    assert np.float32(1e-40) * np.float32(0.5) > 0
+    assert torch.tensor(1e-40) * 0.5 > 0
+
+
 def test_an_unfinished_training_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="finished training"):
         runs.load_renderer(tmp_path)

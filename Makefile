@@ -3,6 +3,7 @@ VENV ?= .venv
 EDGE_VENV ?= .venv-edge
 BIN := $(VENV)/bin
 TESTSET ?= testset
+JOBS ?= 2
 
 .PHONY: help setup demo test lint types unit edge test-full fuzz stability pareto peers format clean
 
@@ -32,16 +33,16 @@ types: setup    ## static types, strict on specification and runtime
 	$(BIN)/mypy
 
 unit: setup     ## unit and property tests with coverage, then export, parity and the README
-	$(BIN)/pytest -m 'not full' tests/spec tests/runtime --cov --cov-report=term
-	$(BIN)/pytest -m 'not full' --ignore=tests/spec --ignore=tests/runtime
+	$(BIN)/pytest -m 'not full' -n $(JOBS) --dist loadfile tests/spec tests/runtime --cov --cov-report=term
+	$(BIN)/pytest -m 'not full' -n $(JOBS) --dist loadfile --ignore=tests/spec --ignore=tests/runtime
 
 edge:           ## build the wheel, install it without torch, run the runtime's tests on it
 	python3 -m venv --clear $(EDGE_VENV)
 	rm -rf dist
 	$(EDGE_VENV)/bin/pip wheel --quiet --no-deps --wheel-dir dist .
-	$(EDGE_VENV)/bin/pip install --quiet --constraint constraints.txt dist/*.whl hypothesis onnx pytest
+	$(EDGE_VENV)/bin/pip install --quiet --constraint constraints.txt dist/*.whl hypothesis onnx pytest pytest-xdist
 	$(EDGE_VENV)/bin/python -c "import importlib.util as u; assert u.find_spec('torch') is None"
-	$(EDGE_VENV)/bin/python -P -m pytest -m 'not full' tests/spec tests/runtime
+	$(EDGE_VENV)/bin/python -P -m pytest -m 'not full' -n $(JOBS) --dist loadfile tests/spec tests/runtime
 
 pareto: setup   ## what accuracy costs in time: curve, table, and the ladder that budgets climb
 	$(BIN)/spotlight-bench pareto $(TESTSET) -o pareto --json pareto/all.json --resume --ladder runtime/spotlight_runtime/planning/ladder.json

@@ -70,7 +70,7 @@ class TrainingOptions:
 
 @contextmanager
 def _denormals_flushed() -> Iterator[None]:
-    """As zero while training: gradients of half-trained layers cost thirty times as much otherwise."""
+    """While training: gradients of half-trained layers cost thirty times as much with them."""
     torch.set_flush_denormal(True)
     try:
         yield

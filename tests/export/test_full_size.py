@@ -26,12 +26,13 @@ from spotlight_spec import Manifest
 pytestmark = pytest.mark.full
 
 EXPORT = """
-import json, resource, sys, time
+import json, sys, time
 from spotlight_export.export import export_backbone
+from spotlight_runtime.relighting.result import peak_memory_bytes
 start = time.perf_counter()
 export_backbone("zerocomp", *sys.argv[1:4], layout=sys.argv[4])
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-print(json.dumps({"seconds": time.perf_counter() - start, "peak": peak}))
+seconds = time.perf_counter() - start
+print(json.dumps({"seconds": seconds, "peak": peak_memory_bytes()}))
 """
 
 

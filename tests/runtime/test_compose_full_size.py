@@ -14,13 +14,14 @@ from spotlight_runtime import Scene
 pytest.importorskip("embreex", reason="ray casting needs the extra scene")
 
 COMMAND = """
-import json, resource, sys, time
+import json, sys, time
 from spotlight_runtime.cli import app
+from spotlight_runtime.relighting.result import peak_memory_bytes
 start = time.perf_counter()
 try:
     app(sys.argv[1:], standalone_mode=False)
 finally:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_memory_bytes() / 2**20
     print(json.dumps({"peak_mb": peak, "seconds": time.perf_counter() - start}))
 """
 

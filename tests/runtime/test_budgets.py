@@ -15,6 +15,7 @@ from spotlight_runtime.planning.costs import (
     Costs,
     Line,
     Pace,
+    Seconds,
     cache_path,
     read_costs,
     write_costs,
@@ -109,17 +110,30 @@ def test_predicted_seconds_are_those_of_the_calls(slow, scene, shadow):
 def test_pace_follows_the_machine(factor):
     pace = Pace()
     for _ in range(40):
-        pace.learn(pace.of(SLOW).evaluation.at(0), factor)
+        now = pace.of(SLOW)
+        pace.learn(Seconds(now.evaluation.at(0), now.decode.at(0)), Seconds(factor, 0.2 * factor))
     now = pace.of(SLOW)
     assert now.evaluation.fixed == pytest.approx(factor, rel=0.01)
-    assert now.decode.fixed == pytest.approx(factor * SLOW.decode.fixed, rel=0.01)
+    assert now.decode.fixed == pytest.approx(2.0 * factor * SLOW.decode.fixed, rel=0.01)
     assert Line(0.5, 2.0).slowed(3.0) == Line(1.5, 6.0)
+
+
+def test_evaluations_and_the_rest_have_paces_of_their_own():
+    pace = Pace()
+    pace.learn(Seconds(1.0, 0.0), Seconds(1.5, 0.0))  # nothing of the rest: nothing learnt of it
+    now = pace.of(SLOW)
+    assert now.evaluation.fixed > SLOW.evaluation.fixed
+    assert now.condition == SLOW.condition
+    pace.learn(Seconds(0.0, 1.0), Seconds(0.0, 0.5))
+    assert pace.of(SLOW).evaluation == now.evaluation
+    assert pace.of(SLOW).window.fixed < SLOW.window.fixed
 
 
 def test_one_relight_out_of_line_is_no_new_pace():
     pace = Pace()
-    pace.learn(1.0, 1000.0)
+    pace.learn(Seconds(1.0, 1.0), Seconds(1000.0, 1000.0))
     assert 1.0 < pace.of(SLOW).evaluation.fixed < 1.2
+    assert SLOW.decode.fixed < pace.of(SLOW).decode.fixed < 1.2 * SLOW.decode.fixed
 
 
 def test_predictions_follow_the_relights(slow, scene, shadow):

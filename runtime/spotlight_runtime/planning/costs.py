@@ -14,18 +14,20 @@ import platform
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
 from spotlight_spec import write_json
 
-__all__ = ["Costs", "Line", "Pace", "cache_path", "read_costs", "write_costs"]
+__all__ = ["Costs", "Line", "Pace", "Seconds", "cache_path", "read_costs", "write_costs"]
 
 VERSION: Final = 4
 """Of the cache file; files of another version are measured anew."""
 TRUST: Final = 0.2
 """Share of a relight's surprise that the next prediction takes on: a single one may be chance."""
+EVALUATIONS: Final = ("evaluation", "shallow")
+"""Costs of the denoiser."""
 SURPRISE: Final = math.log(2.0)
 """The most that counts: one that opened sessions, or stood still meanwhile, took much longer."""
 
@@ -90,6 +92,10 @@ class Costs:
     window: Line
     shallow: Line = Line(0.0, 0.0)
 
+    def evaluations(self, latents: int, whole: int, shallow: int) -> float:
+        """Seconds of evaluations of one branch, with the deep part and without."""
+        return whole * self.evaluation.at(latents) + shallow * self.shallow.at(latents)
+
     def composite(self, pixels: int, native: bool) -> float:
         """Seconds to put a picture of so many pixels together."""
         return (self.frame if native else self.window).at(pixels)
@@ -111,33 +117,59 @@ class Costs:
         return cls(**lines)
 
 
+class Seconds(NamedTuple):
+    """What a relight takes, without what was over when its plan was made.
+
+    Attributes
+    ----------
+    evaluations : float
+        Of the denoiser.
+    rest : float
+        Encoding, decoding, putting together.
+    """
+
+    evaluations: float
+    rest: float
+
+
 class Pace:
     """How long relights have taken of late, in multiples of what costs add up to.
 
     Costs are measured once, and a machine does not stay as it was then: it warms up, it is shared,
-    and what runs for minutes runs slower than what ran for a second. Not kept with the costs, as
-    the next process may meet another day.
+    and what runs for minutes runs slower than what ran for a second. Evaluations, which keep all
+    cores at work, and what is around them have paces of their own. Not kept with the costs, as the
+    next process may meet another day.
     """
 
     def __init__(self) -> None:
-        self._log = 0.0
+        self._evaluations = self._rest = 0.0  # logarithms
 
-    def learn(self, predicted: float, actual: float) -> None:
+    def learn(self, predicted: Seconds, actual: Seconds) -> None:
         """Take note of a relight.
 
         Parameters
         ----------
-        predicted, actual : float
-            Seconds above 0; predicted at this pace.
+        predicted, actual : Seconds
+            Predicted at this pace. Where there was nothing of a part, nothing is learnt of it.
         """
-        surprise = math.log(actual / predicted)
-        self._log += TRUST * min(max(surprise, -SURPRISE), SURPRISE)
+        self._evaluations += _surprise(predicted.evaluations, actual.evaluations)
+        self._rest += _surprise(predicted.rest, actual.rest)
 
     def of(self, costs: Costs) -> Costs:
         """Costs at this pace."""
-        factor = math.exp(self._log)
         lines = {name: getattr(costs, name) for name in Costs.__dataclass_fields__}
-        return Costs(**{name: line.slowed(factor) for name, line in lines.items()})
+        slowed = {
+            name: line.slowed(math.exp(self._evaluations if name in EVALUATIONS else self._rest))
+            for name, line in lines.items()
+        }
+        return Costs(**slowed)
+
+
+def _surprise(predicted: float, actual: float) -> float:
+    """By how much the logarithm of a pace changes."""
+    if min(predicted, actual) <= 0.0:
+        return 0.0
+    return TRUST * min(max(math.log(actual / predicted), -SURPRISE), SURPRISE)
 
 
 def cache_path(model: str, threads: int | None) -> Path:

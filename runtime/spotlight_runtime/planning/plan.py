@@ -152,6 +152,11 @@ class Plan:
         return self.plain.evaluations + sum(p.evaluations for p in self.passes)
 
     @property
+    def shallow(self) -> int:
+        """How many of them go without the deep part."""
+        return self.plain.shallow + sum(sum(p.shallow) for p in self.passes)
+
+    @property
     def seconds(self) -> float | None:
         """Predicted time of it all; None where the machine has not been measured."""
         known = [effect.seconds for effect in self.effects if effect.seconds is not None]

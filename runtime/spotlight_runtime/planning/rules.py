@@ -238,8 +238,7 @@ def _switch(said: str) -> tuple[bool, str]:
 def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
     """The plan with predicted seconds."""
     size = facts.latents
-    evaluation, condition = costs.evaluation.at(size), costs.condition.at(size)
-    shallow = costs.shallow.at(size)
+    condition = costs.condition.at(size)
     decode, encode = costs.decode.at(size), costs.encode.at(size)
     negatives = sum(p.branches - 1 for p in plan.passes)
     ran = plan.plain.source == "run"
@@ -255,8 +254,7 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
         if effect.seconds is not None
         else replace(
             effect,
-            seconds=(effect.evaluations - effect.shallow) * evaluation
-            + effect.shallow * shallow
+            seconds=costs.evaluations(size, effect.evaluations - effect.shallow, effect.shallow)
             + extra.get(effect.name, 0.0),
         )
         for effect in plan.effects

@@ -45,12 +45,10 @@ def scene_facts(
     Facts
     """
     view, window = prepared.view, prepared.window
-    height, width = view.size
-    scale = spec.latent.downscale
     return Facts(
         lights=tuple(light_facts(spec, view, shadows) for shadows in prepared.shadows),
         object_seen=bool(guidance_mask(spec, view).any()),
-        latents=(height // scale) * (width // scale),
+        latents=prepared.latents(spec),
         pixels=window.frame[0] * window.frame[1],
         native=window.native,
         window=_said(prepared),

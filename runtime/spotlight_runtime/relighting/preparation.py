@@ -63,6 +63,11 @@ class Prepared:
     view: Scene
     shadows: tuple[Pair, ...]
 
+    def latents(self, spec: BackboneSpec) -> int:
+        """Height × width of what is diffused, at latent size."""
+        height, width = self.view.size
+        return (height // spec.latent.downscale) * (width // spec.latent.downscale)
+
     def only(self, number: int) -> Prepared:
         """The same with one of its lights."""
         guide = self.guides[number]

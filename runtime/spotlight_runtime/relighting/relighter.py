@@ -19,7 +19,14 @@ from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
 from spotlight_runtime.networks.models import LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
-from spotlight_runtime.planning.costs import Costs, Pace, cache_path, read_costs, write_costs
+from spotlight_runtime.planning.costs import (
+    Costs,
+    Pace,
+    Seconds,
+    cache_path,
+    read_costs,
+    write_costs,
+)
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.planning.plan import Plan
 from spotlight_runtime.relighting import passes
@@ -284,8 +291,7 @@ class Relighter:
         no_shadow = self._no_shadow(task, plain, predicted[0])
         self._release("vae_decoder")
         made = result(self.spec, task, predicted, no_shadow, self._model)
-        if made.plan.seconds:
-            self._pace.learn(made.plan.seconds, sum(made.timings.values()))
+        self._learn(task, made.timings)
         return made
 
     def start_each(self, task: Task) -> Generator[Progress | RelightResult, None, None]:
@@ -352,6 +358,20 @@ class Relighter:
     def _costs_for(self, needed: bool) -> Costs | None:
         costs = self.calibrated() if needed else self.costs
         return None if costs is None else self._pace.of(costs)
+
+    def _learn(self, task: Task, timings: Mapping[str, float]) -> None:
+        """Let predictions follow what a relight took."""
+        plan, total = task.plan, task.plan.seconds
+        if self.costs is None or total is None:
+            return
+        latents, whole = task.prepared.latents(self.spec), plan.evaluations - plan.shallow
+        predicted = self._pace.of(self.costs).evaluations(latents, whole, plan.shallow)
+        took = timings["relight"] + timings.get("no shadow", 0.0)
+        over = timings["prepare"]
+        self._pace.learn(
+            Seconds(predicted, total - predicted - over),
+            Seconds(took, sum(timings.values()) - took - over),
+        )
 
     def _inputs(self, task: Task, number: int) -> LoopInputs:
         prepared, planned = task.prepared, task.plan.passes[number]

@@ -9,7 +9,7 @@ with other maps, another order or another schedule is another value, never anoth
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 __all__ = ["BackboneSpec", "LatentSpec", "MapSpec", "ScheduleSpec", "ShadingSpec"]
 
@@ -25,6 +25,8 @@ MapName = Literal[
     "masked_image",
 ]
 ImageEncoding = Literal["gamma22", "srgb", "linear"]
+MOST_REACH: Final = 256.0
+"""Pixels: beyond a picture's middle to its border, light is the same everywhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,9 @@ class BackboneSpec:
         Side in pixels of the square the backbone was trained at.
     noisy_renders : bool
         Trained on noisy path-traced images, so its output is meant to be denoised.
+    light_reach : float
+        Pixels over which the light it finds on an object is smooth: a small renderer knows how
+        an object is lit before it knows how its pixels look. 0: its pixels are to be believed.
     """
 
     name: str
@@ -148,11 +153,17 @@ class BackboneSpec:
     conditioning_layout: Literal["controlnet", "latent_concat"] = "controlnet"
     size: int = 512
     noisy_renders: bool = False
+    light_reach: float = 0.0
 
     def __post_init__(self) -> None:
         names = [entry.name for entry in self.maps]
         if len(set(names)) != len(names):
             raise ValueError(f"backbone {self.name!r} names a conditioning map twice: {names}")
+        if not 0.0 <= self.light_reach <= MOST_REACH:
+            raise ValueError(
+                f"backbone {self.name!r}: expected a light_reach from 0 to {MOST_REACH:g} pixels, "
+                f"got {self.light_reach!r}"
+            )
 
     @property
     def conditioning_channels(self) -> int:

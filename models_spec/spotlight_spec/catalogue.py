@@ -59,6 +59,7 @@ BACKBONES: Final[dict[str, BackboneSpec]] = {
             schedule=ScheduleSpec(set_alpha_to_one=True),
             conditioning_layout="latent_concat",
             size=256,
+            light_reach=8.0,
         ),
     )
 }

@@ -11,7 +11,7 @@ import pytest
 from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
-from spotlight_runtime import GuidingShadow, Intrinsics, RelightOptions
+from spotlight_runtime import GuidingShadow, Intrinsics, Relighter, RelightOptions
 from spotlight_runtime.imaging.colour import linear_to_gamma22, linear_to_srgb
 from spotlight_runtime.relighting.canvas import Canvas
 from spotlight_runtime.relighting.finishing import layer
@@ -120,7 +120,7 @@ def textured(large):
     return replace(large, object_maps=maps)
 
 
-def put_back_perfectly(scene, shadow, scale, gamma=1.0, distort=lambda picture: picture):
+def put_back_perfectly(scene, shadow, scale, gamma=1.0, distort=lambda picture: picture, spec=SPEC):
     """A renderer that is right, at the model's scale: what comes back, and what should."""
     cleared = shadow * (1 - scene.object_mask)
     left = (1 - DARKNESS * shadow)[..., None] * (1 - scene.object_mask[..., None])
@@ -139,7 +139,7 @@ def put_back_perfectly(scene, shadow, scale, gamma=1.0, distort=lambda picture: 
     ]
     encoded[0] = distort(encoded[0])
     made = window_layer(
-        SPEC, Canvas.of(scene), window, shadow, view, small_shadow, *encoded, "paper", gamma
+        spec, Canvas.of(scene), window, shadow, view, small_shadow, *encoded, "paper", gamma
     )
     image = put_back(Canvas.of(scene), window, [made], Mix.of([GuidingShadow(shadow)]))
     enlarged = cv2.resize(
@@ -157,6 +157,23 @@ def test_a_right_prediction_comes_back_sharp(textured, shadows, scale):
     for where, least, gain in ((mask == 1, 32.0, 10.0), (edge, 26.0, 3.0)):
         assert psnr(image, truth, where) > least
         assert psnr(image, truth, where) > psnr(enlarged, truth, where) + gain
+
+
+def test_light_is_freed_of_what_a_small_decoder_adds(textured, shadows, rng):
+    """Its latents are eight pixels wide, and each errs on its own."""
+
+    def blotched(picture):
+        rows, columns = (-(-side // 8) for side in picture.shape[:2])
+        errors = rng.uniform(0.8, 1.2, (rows, columns)).astype(np.float32)
+        return picture * errors.repeat(8, 0).repeat(8, 1)[: len(picture), : picture.shape[1], None]
+
+    inside = textured.object_mask == 1
+    found = []
+    for reach in (0.0, 8.0):
+        spec = replace(SPEC, light_reach=reach)
+        image, truth, _ = put_back_perfectly(textured, shadows[0], 2, distort=blotched, spec=spec)
+        found.append(psnr(image, truth, inside))
+    assert found[1] > found[0] + 3.0
 
 
 @pytest.mark.parametrize("scale", [2, 4, 8])
@@ -270,6 +287,19 @@ def test_detail_of_a_whole_photograph_is_to_choose(relighter, options):
     assert np.abs(maps.image - renderer.image).max() > 0.05
     far = ~touched(scene, shadow)
     np.testing.assert_array_equal(maps.image[far], linear_to_srgb(scene.background)[far])
+
+
+def test_pixels_that_are_not_believed_are_not_shown_unasked(relighter, options):
+    scene = make_scene(64, 96)
+    shadow = make_shadow(scene)
+    smooth = Relighter(replace(relighter.spec, light_reach=8.0), relighter._networks)
+    auto, renderer, maps = (
+        smooth.relight(scene, shadow, options=options, detail=detail).image
+        for detail in ("auto", "renderer", "maps")
+    )
+    assert auto.tobytes() == maps.tobytes() != renderer.tobytes()
+    believed = relighter.relight(scene, shadow, options=options)
+    assert renderer.tobytes() == believed.image.tobytes()
 
 
 def test_extreme_objects(relighter, options):

@@ -35,7 +35,7 @@ def records(kind: Any) -> st.SearchStrategy[Any]:
     fields |= {
         FileEntry: {"path": st.from_regex(r"[a-z]{1,8}(/[a-z]{1,8})?\.onnx", fullmatch=True)},
         Manifest: {"format": st.just(1)},
-        BackboneSpec: {},
+        BackboneSpec: {"light_reach": st.floats(0.0, 256.0)},
     }.get(kind, {})
     return st.builds(kind, **fields)
 

@@ -98,6 +98,12 @@ def test_map_named_twice_is_refused_in_code():
         BackboneSpec("x", "x", (MapSpec("mask", 1, 0, 1), MapSpec("mask", 1, 0, 1)))
 
 
+@pytest.mark.parametrize("reach", [-0.5, 257.0])
+def test_light_that_reaches_beyond_the_picture_is_refused(reach):
+    with pytest.raises(RecordError, match=r"\$: .*light_reach from 0 to 256 pixels"):
+        decode(BackboneSpec, spoiled(["light_reach"], reach))
+
+
 def test_fixed_length_list_of_another_length_is_refused():
     assert decode(Pair, {"sides": [1, "a"]}) == Pair((1, "a"))
     with pytest.raises(RecordError, match=r"\$\.sides: expected a list of 2 values"):

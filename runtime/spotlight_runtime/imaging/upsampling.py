@@ -20,7 +20,7 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 
-__all__ = ["GuidedFit", "fit_guided", "magnify_rows"]
+__all__ = ["FIT_SIGMA", "GuidedFit", "fit_guided", "magnify_rows"]
 
 
 FIT_SIGMA: Final = 1.2
@@ -95,7 +95,7 @@ def fit_guided(
         Coefficients where nothing is known.
     leftover : ndarray of float32, shape (h, w, G + 1), optional
         How much of what the fit leaves over goes to each coefficient; times guide and one, they
-        add up to one. By default all of it goes to the constant.
+        add up to one, or to zero where it is left out. By default all of it goes to the constant.
     reach : float
         Standard deviation, in small pixels, of the neighbourhood that decides.
 

@@ -70,8 +70,9 @@ class RelightOptions:
     detail : {"auto", "renderer", "maps"}
         Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
         ``maps``: the predicted shading on the object's own albedo and normals, sharper than any
-        decoder. ``auto``: the renderer's where the whole photograph is diffused, the maps' where
-        a window is; a window that is enlarged has no other.
+        decoder. ``auto``: the renderer's where the whole photograph is diffused by a backbone
+        whose pixels are to be believed (`BackboneSpec.light_reach`), else the maps'; a window that
+        is enlarged has no other.
     skip : bool
         Leave out what the scene does not call for (`spotlight_runtime.planning.rules`). Off, every
         pass runs, as in the public release; the picture is the same.

@@ -46,7 +46,8 @@ def layer(
     shadow, _ = prepared.shadows[number]
     canvas, view = prepared.canvas, prepared.view
     fidelity = options.fidelity
-    if prepared.window.native and options.detail != "maps":
+    believed = options.detail == "renderer" or (options.detail == "auto" and not spec.light_reach)
+    if prepared.window.native and believed:
         return frame_layer(spec, canvas.size, view, shadow, predicted, no_shadow, fidelity)
     return window_layer(
         spec,

@@ -267,7 +267,7 @@ def window_layer(
         window=window,
         shadow=shadow,
         ratio=ratio,
-        light=fit_light(small, np.maximum(own, 0.0)),
+        light=fit_light(small, np.maximum(own, 0.0), spec.light_reach),
         everywhere=fidelity == "release",
     )
 

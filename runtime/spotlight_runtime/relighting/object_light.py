@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.imaging.upsampling import GuidedFit, fit_guided
+from spotlight_runtime.imaging.upsampling import FIT_SIGMA, GuidedFit, fit_guided
 from spotlight_runtime.relighting.canvas import Canvas
 
 __all__ = ["divided", "fit_light", "light_rows"]
@@ -36,8 +36,12 @@ THINNEST: Final = 0.25
 BARELY_COVERED: Final = 1e-4
 
 
-def fit_light(small: Canvas, own: FloatArray) -> tuple[GuidedFit, ...]:
+def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[GuidedFit, ...]:
     """Fit the object's own light to its albedo and normals.
+
+    What the fit leaves over is the object's own shadows and highlights, if the pixels it was
+    fitted to can be believed one by one. Where they cannot (`BackboneSpec.light_reach`), it is the
+    decoder's noise, and left out.
 
     Parameters
     ----------
@@ -45,6 +49,8 @@ def fit_light(small: Canvas, own: FloatArray) -> tuple[GuidedFit, ...]:
         At the model's scale.
     own : ndarray of float32, shape (h, w, 3)
         Light from the object alone: linear, premultiplied by its mask.
+    reach : float
+        Small pixels over which light is smooth; 0: as fine as a fit can tell.
 
     Returns
     -------
@@ -62,8 +68,9 @@ def fit_light(small: Canvas, own: FloatArray) -> tuple[GuidedFit, ...]:
         slopes, energy = normal.shape[2], float((counted * colour**2).sum())
         shading = float((counted * colour * value).sum()) / energy if energy > 0.0 else 1.0
         leftover = np.zeros((*mask.shape, slopes + 2), dtype=np.float32)
-        leftover[..., -2] = colour / (colour**2 + DARK**2)
-        leftover[..., -1] = DARK**2 / (colour**2 + DARK**2)
+        if not reach:
+            leftover[..., -2] = colour / (colour**2 + DARK**2)
+            leftover[..., -1] = DARK**2 / (colour**2 + DARK**2)
         fits.append(
             fit_guided(
                 value,
@@ -72,6 +79,7 @@ def fit_light(small: Canvas, own: FloatArray) -> tuple[GuidedFit, ...]:
                 ridge=(*[SLOPE_RIDGE] * slopes, 0.0, HIGHLIGHT_RIDGE),
                 usual=(*[0.0] * slopes, shading, 0.0),
                 leftover=leftover,
+                reach=reach or FIT_SIGMA,
             )
         )
     return tuple(fits)

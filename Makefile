@@ -14,7 +14,7 @@ setup: $(VENV)/.installed ## virtual environment with everything the tests need
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	python3 -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench,service]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,export,denoise,scene,training,bench,service,openvino]'
 	touch $@
 
 demo:           ## relight a scene that comes along from eight directions: demo.png
@@ -48,7 +48,6 @@ pareto: setup   ## what accuracy costs in time: curve, table, and the ladder tha
 	$(BIN)/spotlight-bench pareto $(TESTSET) -o pareto --json pareto/all.json --resume --ladder runtime/spotlight_runtime/planning/ladder.json
 
 peers: setup    ## against diffusers, OpenVINO and a plain export: an hour and a half, 16 GB of memory
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[peers]'
 	$(BIN)/spotlight-bench peers --size mini -o peers --json peers/all.json
 	$(BIN)/spotlight-bench peers --size full -o peers-full --json peers-full/all.json
 

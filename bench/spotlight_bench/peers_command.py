@@ -76,7 +76,9 @@ def peers(
     errors = Console(stderr=True)
     openvino = find_spec("openvino") is not None
     if not openvino:
-        errors.print("OpenVINO is left out: pip install 'spotlight-relight[peers]'", markup=False)
+        errors.print(
+            "OpenVINO is left out: pip install 'spotlight-relight[openvino]'", markup=False
+        )
     threads = threads or available_cpus()
     output.mkdir(parents=True, exist_ok=True)
     with errors.status("preparing") as status:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from spotlight_runtime import Engine
 from spotlight_runtime.errors import SpotLightError
 from spotlight_service.problems import ProblemError
 from spotlight_service.security.keys import KeyStore
@@ -48,6 +49,10 @@ def serve(
     model: Annotated[
         list[str] | None, typer.Option(help="Model; repeat for several.", show_default="mini")
     ] = None,
+    engine: Annotated[
+        Engine | None,
+        typer.Option(help="What computes the networks.", show_default="onnxruntime"),
+    ] = None,
     threads: Annotated[int | None, typer.Option(help="Threads of one inference.")] = None,
     queue: Annotated[
         int | None, typer.Option(help="Jobs that may wait.", show_default="32")
@@ -70,6 +75,7 @@ def serve(
         "host": host,
         "port": port,
         "models": tuple(model) if model else None,
+        "engine": engine,
         "threads": threads,
         "queue": queue,
         "insecure_open": insecure_open or None,

@@ -9,6 +9,8 @@ from typing import Final
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from spotlight_runtime import Engine
+
 __all__ = ["LOOPBACK", "Settings"]
 
 LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
@@ -33,6 +35,8 @@ class Settings(BaseSettings):
         Listen beyond loopback without API keys.
     models : tuple of str
         Names or folders; one worker each.
+    engine : {"onnxruntime", "openvino", "openvino-bf16"}
+        What computes the networks.
     threads : int, optional
         Threads of one inference; by default the CPUs the process may use.
     measure : bool
@@ -81,6 +85,7 @@ class Settings(BaseSettings):
     port: int = Field(default=8471, ge=0, le=65535)
     insecure_open: bool = False
     models: tuple[str, ...] = ("mini",)
+    engine: Engine = "onnxruntime"
     threads: int | None = Field(default=None, ge=1)
     measure: bool = True
     queue: int = Field(default=32, ge=1, le=1000)

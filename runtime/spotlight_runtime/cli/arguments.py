@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from spotlight_runtime.networks import models
 from spotlight_runtime.planning.ladder import PlanName
 from spotlight_runtime.relighting.tasks import Wishes
 
@@ -19,6 +20,7 @@ __all__ = [
     "Directional",
     "Distance",
     "Elevation",
+    "Engine",
     "Fidelity",
     "Gamma",
     "Invert",
@@ -200,7 +202,7 @@ Detail = Annotated[
     typer.Option(
         help="Whose detail the object shows: the renderer's pixels, or its shading on the "
         "object's own maps.",
-        show_default="maps in a window, the renderer's in a frame",
+        show_default="maps in a window or of a small model, else the renderer's",
         rich_help_panel=METHOD,
     ),
 ]
@@ -215,6 +217,14 @@ Denoise = Annotated[
 Model = Annotated[
     str,
     typer.Option(help="Model name or folder: `spotlight models`.", rich_help_panel=METHOD),
+]
+Engine = Annotated[
+    models.Engine,
+    typer.Option(
+        help="What computes the networks; OpenVINO (extra openvino) in bfloat16 is quickest for "
+        "full-size models where the processor has it.",
+        rich_help_panel=MACHINE,
+    ),
 ]
 Threads = Annotated[
     int | None,

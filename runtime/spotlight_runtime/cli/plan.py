@@ -41,6 +41,7 @@ def plan(
     steps: a.Steps = None,
     solver: a.Solver = None,
     window: a.Window = None,
+    engine: a.Engine = "onnxruntime",
     threads: a.Threads = None,
     measure: Annotated[
         bool, typer.Option("--measure", help="Measure this machine again first.")
@@ -80,7 +81,7 @@ def plan(
         solver=solver,
         window=window,
     )
-    relighter = Relighter.load(model, threads=threads)
+    relighter = Relighter.load(model, engine=engine, threads=threads)
     relighter.calibrated(again=measure)
     with notices():
         made = relighter.plan(loaded, lighting.guides, lighting.negative, **wishes)

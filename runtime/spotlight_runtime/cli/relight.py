@@ -70,6 +70,7 @@ def relight(
     window: a.Window = None,
     detail: a.Detail = None,
     denoise: a.Denoise = None,
+    engine: a.Engine = "onnxruntime",
     threads: a.Threads = None,
     low_memory: Annotated[
         bool,
@@ -147,7 +148,7 @@ def relight(
         if preview:
             pictures = sketches(loaded, lighting, each)
         else:
-            relighter = Relighter.load(model, threads=threads, low_memory=low_memory)
+            relighter = Relighter.load(model, engine=engine, threads=threads, low_memory=low_memory)
             task = relighter.prepare(loaded, lighting.guides, lighting.negative, **wishes)
             del loaded, lighting  # gigabytes that have served, of a large photograph
             pictures = relit(relighter, task, each)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from spotlight_runtime.errors import (
     ModelIntegrityError,
     UnknownModelError,
 )
-from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, Network, open_graph
-from spotlight_spec import MANIFEST_NAME, Manifest, RecordError, ScheduleSpec
+from spotlight_runtime.networks import openvino, sessions
+from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, Network
+from spotlight_spec import MANIFEST_NAME, GraphContract, Manifest, RecordError, ScheduleSpec
 
 __all__ = [
+    "Engine",
     "LazyNetworks",
     "ModelFolder",
     "find_models",
@@ -32,6 +35,9 @@ __all__ = [
 ]
 
 
+Engine = Literal["onnxruntime", "openvino", "openvino-bf16"]
+"""What computes the graphs; OpenVINO is an extra, in float32 or, where the processor has it, in
+bfloat16."""
 SEARCH_PATH_VARIABLE: Final = "SPOTLIGHT_MODELS"
 _EMBEDDED: Final = Path(__file__).parents[1] / "backbones"
 
@@ -104,14 +110,19 @@ def resolve_model(model: str | Path) -> ModelFolder:
 def open_networks(
     model: ModelFolder,
     *,
+    engine: Engine = "onnxruntime",
     providers: Sequence[str] = DEFAULT_PROVIDERS,
     threads: int | None = None,
     verify_files: bool = True,
 ) -> LazyNetworks:
     """Networks of a model, each opened when first used.
 
+    ``providers`` are ONNX Runtime's.
+
     Raises
     ------
+    InvalidInputError
+        If there is no such engine.
     ModelIntegrityError
         If a file is missing, truncated or changed since it was exported.
     """
@@ -120,7 +131,15 @@ def open_networks(
         raise ModelIntegrityError(
             f"{model.path}: {'; '.join(problems)}. Copy the folder again or export the model again"
         )
-    return LazyNetworks(model, tuple(providers), threads, stamps if verify_files else None)
+    opener: Callable[[Path, GraphContract], Network]
+    if engine == "onnxruntime":
+        opener = partial(sessions.open_graph, providers=providers, threads=threads)
+    elif engine in get_args(Engine):
+        half = engine == "openvino-bf16"
+        opener = partial(openvino.open_graph, precision="bf16" if half else "f32", threads=threads)
+    else:
+        raise InvalidInputError(f"engine: expected {', '.join(get_args(Engine))}, got {engine!r}")
+    return LazyNetworks(model, opener, stamps if verify_files else None)
 
 
 Stamp = tuple[int, int, int]
@@ -149,14 +168,12 @@ class LazyNetworks(Mapping[str, Network]):
     def __init__(
         self,
         model: ModelFolder,
-        providers: tuple[str, ...],
-        threads: int | None,
+        opener: Callable[[Path, GraphContract], Network],
         stamps: tuple[Stamp | None, ...] | None = None,
     ) -> None:
         self._stamps = stamps
         self._model = model
-        self._providers = providers
-        self._threads = threads
+        self._opener = opener
         self._open: dict[str, Network] = {}
 
     def __getitem__(self, name: str) -> Network:
@@ -164,10 +181,7 @@ class LazyNetworks(Mapping[str, Network]):
         if network is None:
             contract = self._model.manifest.graph(name)
             self._verify_again()
-            network = open_graph(
-                self._model.path, contract, providers=self._providers, threads=self._threads
-            )
-            self._open[name] = network
+            network = self._open[name] = self._opener(self._model.path, contract)
         return network  # not looked up again: another thread may have released it meanwhile
 
     def __iter__(self) -> Iterator[str]:

@@ -25,12 +25,19 @@ from spotlight_runtime.errors import (
     ModelError,
     ProviderError,
 )
-from spotlight_spec import GraphContract
+from spotlight_spec import GraphContract, TensorSpec
 
 if TYPE_CHECKING:
     import onnxruntime as ort
 
-__all__ = ["Network", "OnnxGraph", "available_cpus", "open_graph"]
+__all__ = [
+    "Network",
+    "OnnxGraph",
+    "available_cpus",
+    "check_tensors",
+    "open_graph",
+    "usable_threads",
+]
 
 Network = Callable[..., dict[str, npt.NDArray[Any]]]
 """``network(**named_arrays)`` → named arrays, names as in the graph's contract."""
@@ -39,7 +46,7 @@ DEFAULT_PROVIDERS: Final = ("CPUExecutionProvider",)
 EVERY_STEP: Final = ("denoiser", "denoiser_shallow", "controlnet", "unet")
 """Graphs that run every step and keep their working memory; the others give it back."""
 _CGROUP: Final = Path("/sys/fs/cgroup")
-_DTYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
+_DTYPES: Final = {"tensor(float)": "float32", "tensor(int64)": "int64"}
 
 
 def available_cpus(cgroup: Path = _CGROUP) -> int:
@@ -51,6 +58,19 @@ def available_cpus(cgroup: Path = _CGROUP) -> int:
     cpus = affinity or 1
     quota = _cgroup_quota(cgroup)
     return max(1, min(cpus, math.ceil(quota))) if quota else cpus
+
+
+def usable_threads(wanted: int | None) -> int:
+    """So many threads, or by default `available_cpus`.
+
+    Raises
+    ------
+    InvalidInputError
+        If fewer than one are wanted.
+    """
+    if wanted is not None and wanted < 1:
+        raise InvalidInputError(f"threads: expected 1 or more, got {wanted}")
+    return wanted or available_cpus()
 
 
 def _cgroup_quota(cgroup: Path) -> float | None:
@@ -98,7 +118,8 @@ class OnnxGraph:
             (contract.inputs, session.get_inputs()),
             (contract.outputs, session.get_outputs()),
         ):
-            _check_tensors(contract, expected, got)
+            found = [(t.name, _DTYPES.get(t.type, t.type), tuple(t.shape)) for t in got]
+            check_tensors(contract, expected, found)
 
     def __call__(self, **inputs: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         """Run the graph.
@@ -155,10 +176,8 @@ def open_graph(
             f"provider {providers[0]} is not installed; this onnxruntime has "
             f"{', '.join(installed)}. Install the matching onnxruntime build or choose one of them"
         )
-    if threads is not None and threads < 1:
-        raise InvalidInputError(f"threads: expected 1 or more, got {threads}")
     options = ort.SessionOptions()
-    options.intra_op_num_threads = threads or available_cpus()
+    options.intra_op_num_threads = usable_threads(threads)
     options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what fails is raised, and need not be printed as well
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
@@ -245,20 +264,38 @@ def _c_library() -> ctypes.CDLL | None:
         return None
 
 
-def _check_tensors(contract: GraphContract, expected: Sequence[Any], got: Sequence[Any]) -> None:
-    names, present = [t.name for t in expected], [t.name for t in got]
-    if names != present:
+def check_tensors(
+    contract: GraphContract,
+    expected: Sequence[TensorSpec],
+    present: Sequence[tuple[str, str, tuple[int | str | None, ...]]],
+) -> None:
+    """Hold an engine's tensors against a contract's.
+
+    Parameters
+    ----------
+    contract : GraphContract
+    expected : sequence of TensorSpec
+        Its inputs or its outputs.
+    present : sequence of (str, str, tuple)
+        Names, element types and sizes that the engine says; no number where a size is free.
+
+    Raises
+    ------
+    GraphContractError
+    """
+    names, found = [t.name for t in expected], [name for name, _, _ in present]
+    if names != found:
         raise GraphContractError(
-            f"{contract.file_name}: expected tensors {names}, got {present}; export the model again"
+            f"{contract.file_name}: expected tensors {names}, got {found}; export the model again"
         )
-    for want, have in zip(expected, got):
+    for want, (_, dtype, shape) in zip(expected, present):
         if (
-            have.type != _DTYPES[want.dtype]
-            or len(have.shape) != len(want.shape)
+            dtype != want.dtype
+            or len(shape) != len(want.shape)
             # A number where a name should be is a size that was baked in while tracing.
-            or any(isinstance(b, int) and a != b for a, b in zip(want.shape, have.shape))
+            or any(isinstance(b, int) and a != b for a, b in zip(want.shape, shape))
         ):
             raise GraphContractError(
                 f"{contract.file_name}: {want.name} should be {want.dtype} {want.shape}, is "
-                f"{have.type} {tuple(have.shape)}; export the model again"
+                f"{dtype} {shape}; export the model again"
             )

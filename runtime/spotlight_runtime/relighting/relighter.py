@@ -17,7 +17,7 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
-from spotlight_runtime.networks.models import LazyNetworks, open_networks, resolve_model
+from spotlight_runtime.networks.models import Engine, LazyNetworks, open_networks, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
 from spotlight_runtime.planning.costs import (
     Costs,
@@ -92,6 +92,7 @@ class Relighter:
         cls,
         model: str | Path = "mini",
         *,
+        engine: Engine = "onnxruntime",
         providers: Sequence[str] = DEFAULT_PROVIDERS,
         threads: int | None = None,
         low_memory: bool = False,
@@ -104,8 +105,11 @@ class Relighter:
         ----------
         model : str or Path
             A name that ``spotlight models`` lists, or a folder.
+        engine : {"onnxruntime", "openvino", "openvino-bf16"}
+            What computes the graphs. OpenVINO is an extra of its own, float32 or bfloat16, and
+            pays for full-size models on processors that multiply bfloat16.
         providers : sequence of str
-            ONNX Runtime execution providers; the first must be the one in use.
+            ONNX Runtime's execution providers; the first must be the one in use.
         threads : int, optional
             Threads of one inference; by default the CPUs this process may use.
         low_memory : bool
@@ -119,19 +123,21 @@ class Relighter:
         ------
         ModelError
             If the model is unknown, damaged, or cannot run on the provider.
+        InvalidInputError
+            If there is no such engine.
         """
         folder = resolve_model(model)
         networks = open_networks(
-            folder, providers=providers, threads=threads, verify_files=verify_files
+            folder, engine=engine, providers=providers, threads=threads, verify_files=verify_files
         )
-        facts = folder.summary()
+        facts = folder.summary() | {"engine": engine}
         return cls(
             folder.manifest.backbone,
             networks,
             low_memory=low_memory,
             model=facts,
             remember=remember,
-            costs_file=cache_path(f"{facts['fingerprint']} {facts['precision']}", threads),
+            costs_file=cache_path(f"{facts['fingerprint']} {facts['precision']} {engine}", threads),
         )
 
     def relight(

@@ -97,7 +97,7 @@ def set_up(settings: Settings, model: str, worker: str) -> Bench:
     ModelError
         If the model is unknown or damaged.
     """
-    relighter = Relighter.load(model, threads=settings.threads)
+    relighter = Relighter.load(model, engine=settings.engine, threads=settings.threads)
     database = Database(settings.data / "service.db")
     queue = WorkQueue(database, lease=settings.lease_s, attempts=settings.attempts)
     files, cache = JobFiles(settings.data / "jobs"), SceneCache(settings.scene_cache_bytes)

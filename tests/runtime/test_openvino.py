@@ -1,0 +1,68 @@
+"""The graphs on OpenVINO: the same pictures, the same errors."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from runtime.small_graphs import contract, tensor, write_product
+from spotlight_runtime import Relighter
+from spotlight_runtime.errors import (
+    GraphContractError,
+    InvalidInputError,
+    MissingExtraError,
+    ModelError,
+)
+from spotlight_runtime.networks.openvino import open_graph
+
+ONES = np.ones((1, 4, 2, 3), np.float32)
+
+
+def test_without_it_the_error_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openvino", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'spotlight-relight\[openvino\]'"):
+        open_graph(write_product(tmp_path), contract(), precision="f32")
+
+
+def test_there_are_no_other_engines(backbone):
+    with pytest.raises(InvalidInputError, match="engine: expected onnxruntime, openvino"):
+        Relighter.load(backbone, engine="tensorflow")
+
+
+class TestWithIt:
+    @pytest.fixture(autouse=True)
+    def installed(self):
+        pytest.importorskip("openvino", reason="needs the extra openvino")
+
+    def test_graph_is_a_function_of_named_arrays(self, tmp_path):
+        graph = open_graph(write_product(tmp_path), contract(), precision="f32", threads=1)
+        for shape in ((1, 4, 2, 3), (2, 4, 5, 1)):
+            ones = np.ones(shape, np.float32)
+            got = graph(x=2.0 * ones, y=3.0 * ones)
+            assert list(got) == ["product"]
+            np.testing.assert_array_equal(got["product"], 6.0 * ones)
+
+    def test_what_a_graph_is_not_is_said(self, tmp_path):
+        folder = write_product(tmp_path)
+        with pytest.raises(InvalidInputError, match="threads: expected 1 or more, got 0"):
+            open_graph(folder, contract(), precision="f32", threads=0)
+        other = contract(outputs=(tensor("sum"),))
+        with pytest.raises(GraphContractError, match=r"expected tensors \['sum'\]"):
+            open_graph(folder, other, precision="f32")
+        with pytest.raises(ModelError, match="cannot be run on x float32"):
+            open_graph(folder, contract(), precision="f32")(x=ONES, y=ONES[..., :2])
+        (folder / contract().file_name).write_bytes(b"no graph")
+        with pytest.raises(ModelError, match="OpenVINO cannot load the graph"):
+            open_graph(folder, contract(), precision="f32")
+
+    @pytest.mark.parametrize(("engine", "allowed"), [("openvino", 1e-4), ("openvino-bf16", 0.05)])
+    def test_a_relight_is_the_same(
+        self, backbone, relighter, options, engine, allowed, scene, shadow
+    ):
+        other = Relighter.load(backbone, engine=engine, threads=1, remember=0)
+        wanted = relighter.relight(scene, shadow, options=options)
+        made = other.relight(scene, shadow, options=options)
+        difference = np.abs(made.image - wanted.image)
+        assert difference.max() <= 4 * allowed
+        assert difference.mean() <= allowed
+        assert made.report()["model"]["engine"] == engine

@@ -13,12 +13,14 @@ import numpy.typing as npt
 
 from spotlight_runtime.networks.models import open_networks, resolve_model
 
-__all__ = ["ENGINES", "Engine", "open_engine"]
+__all__ = ["ENGINES", "HALF", "Engine", "open_engine"]
 
 Arrays = dict[str, npt.NDArray[Any]]
 Networks = Mapping[str, Callable[..., Arrays]]
 Engine = Literal["torch", "onnxruntime", "openvino", "spotlight"]
 
+HALF: Final = "openvino-bf16"
+"""The runtime's engine for processors that multiply bfloat16."""
 ENGINES: Final = ("torch", "onnxruntime", "openvino", "spotlight")
 
 
@@ -32,7 +34,8 @@ def open_engine(engine: str, source: Path, precision: str, threads: int) -> Netw
         A checkpoint for torch, a folder of graphs for ONNX Runtime and OpenVINO, a model folder
         for ours.
     precision : str
-        ``fp32`` or ``bf16``; of ONNX Runtime also ``unoptimised``; ours is the model's own.
+        ``fp32`` or ``bf16``; of ONNX Runtime also ``unoptimised``; ours is the model's own, or
+        ``openvino-bf16``, the runtime's other engine.
     threads : int
     """
     if engine == "torch":
@@ -40,7 +43,8 @@ def open_engine(engine: str, source: Path, precision: str, threads: int) -> Netw
 
         return networks(source, half=precision == "bf16", threads=threads)
     if engine == "spotlight":
-        return open_networks(resolve_model(source), threads=threads)
+        other: Any = {"engine": precision} if precision == HALF else {}
+        return open_networks(resolve_model(source), threads=threads, **other)
     graphs = {path.stem: path for path in sorted(source.glob("*.onnx"))}
     opener = _onnxruntime if engine == "onnxruntime" else _openvino
     found = {name: opener(path, precision, threads) for name, path in graphs.items()}

@@ -11,6 +11,7 @@ from typing import Final
 
 from spotlight_bench.errors import MethodError
 from spotlight_bench.peers import RELEASE, Peer
+from spotlight_bench.peers_engines import HALF
 from spotlight_runtime.networks.models import resolve_model
 
 __all__ = ["SIZES", "Size", "mini_peers", "torch_peers"]
@@ -59,7 +60,10 @@ def mini_peers(openvino: bool) -> tuple[tuple[Peer, ...], Path]:
         peers += [
             Peer(f"openvino-{p}", f"OpenVINO {p}", "openvino", folder, p) for p in ("fp32", "bf16")
         ]
-    return (*peers, Peer("ours", "SpotLight, mini", "spotlight", folder, "own", OURS)), folder
+    peers += [Peer("ours", "SpotLight, mini", "spotlight", folder, "own", OURS)]
+    if openvino:
+        peers += [Peer("ours-half", "SpotLight, OpenVINO bf16", "spotlight", folder, HALF, OURS)]
+    return tuple(peers), folder
 
 
 def torch_peers(
@@ -77,7 +81,7 @@ def torch_peers(
     work : Path
         For checkpoint, plain export and our models: 20 GB at full size.
     precisions : tuple of str
-        Of ours, the first being what times are held against.
+        Of ours. Times are held against OpenVINO's bfloat16 where there is one, else the first.
     openvino : bool
         Whether it is installed.
     report : callable
@@ -110,6 +114,10 @@ def torch_peers(
         peers += [
             Peer(f"openvino-{p}", f"plain export, OpenVINO {p}", "openvino", plain, p)
             for p in ("fp32", "bf16")
+        ]
+    if openvino and "fp32" in ours:
+        peers += [
+            Peer("ours-half", "SpotLight, OpenVINO bf16", "spotlight", ours["fp32"], HALF, OURS)
         ]
     peers += [
         Peer(f"ours-{p}", f"SpotLight {p}", "spotlight", folder, p, OURS)

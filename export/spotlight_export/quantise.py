@@ -1,8 +1,9 @@
 """Static int8: convolutions and linear layers on 256 levels, the rest in float32.
 
-Written as quantise/dequantise pairs in standard ONNX (QDQ), which ONNX Runtime turns into its
-integer kernels. Weights are signed and symmetric with one scale per output channel; activations are
-unsigned with one scale a tensor, from the range they had in real runs.
+Written as quantise/dequantise pairs (QDQ), which ONNX Runtime turns into its integer kernels, and
+with ONNX Runtime's own fused self-attention. Weights are signed and symmetric with one scale per
+output channel; activations are unsigned with one scale a tensor, from the range they had in real
+runs.
 
 What stays float32, and why:
 
@@ -25,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import onnx_ir as ir
 
+from spotlight_export.attention import fuse_self_attention
 from spotlight_export.errors import QuantisationError
 from spotlight_export.tracing import save_graph
 
@@ -85,6 +87,7 @@ def quantise_graph(source: Path, target: Path, ranges: dict[str, Range]) -> int:
             f"{source.name}: no convolution or linear layer with constant weights of at least "
             f"{MIN_CHANNELS} channels; export it with --precision fp32"
         )
+    fuse_self_attention(model)
     pairs = {name: _add_pair(graph, value, ranges) for name, value in _observed(layers).items()}
     for layer in layers:
         node = layer.node

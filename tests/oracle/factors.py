@@ -8,6 +8,9 @@ with x_q the guide and a one, G a Gaussian cut off at four deviations whose bord
 W_p = Σ_q G(p−q)·w_q + ε, and ε a millionth of the mean weight: what is usual decides where nothing
 is known. Then neighbours agree on their coefficients by their weights, and what is left over is
 smoothed and added to them.
+
+A smooth fit is the same for cells instead of pixels, half its reach wide: every sum over q is one
+over the means of cells, and nothing is left over.
 """
 
 from __future__ import annotations
@@ -78,6 +81,52 @@ def guided_fit(
     return torch.stack([c + extra for c, extra in zip(agreed, given)], -1)
 
 
+def smooth_fit(
+    values: Tensor,
+    weights: Tensor,
+    basis: Tensor,
+    ridge: list[float],
+    usual: list[float],
+    reach: float,
+) -> Tensor:
+    """Coefficients of cells, agreed on by neighbours; shape (rows, columns, n)."""
+    epsilon = PRIOR * (float(weights.mean()) or 1.0)
+    cell = max(1.0, reach / 2.0)
+
+    def around(plane: Tensor) -> Tensor:
+        return spread(cells(plane, cell), reach / cell)
+
+    near = around(weights) + epsilon
+    normal_matrix = torch.stack(
+        [torch.stack([around(weights * a * b) for a in basis], -1) for b in basis], -1
+    )
+    moments = torch.stack([around(weights * a * values) for a in basis], -1)
+    moments = moments + epsilon * torch.tensor(usual, dtype=values.dtype)
+    penalty = near[..., None] * torch.tensor(ridge, dtype=values.dtype) + epsilon
+    raw = torch.linalg.solve(normal_matrix + torch.diag_embed(penalty), moments)
+    weight = cells(weights, cell)
+    agreed = [
+        (spread(weight * raw[..., i], reach / cell) + epsilon * usual[i]) / near
+        for i in range(len(basis))
+    ]
+    return torch.stack(agreed, -1)
+
+
+def cells(plane: Tensor, size: float) -> Tensor:
+    """Means of equal cells of about a size, by the share of each pixel that lies in them."""
+
+    def overlaps(side: int) -> Tensor:
+        count = max(1, round(side / size))
+        edges = torch.arange(count + 1, dtype=plane.dtype) * (side / count)
+        pixels = torch.arange(side, dtype=plane.dtype)
+        low = torch.maximum(edges[:-1, None], pixels)
+        high = torch.minimum(edges[1:, None], pixels + 1.0)
+        return (high - low).clamp(min=0.0) * (count / side)
+
+    rows, columns = (overlaps(side) for side in plane.shape)
+    return rows @ plane @ columns.T
+
+
 def evaluated(coefficients: Tensor, basis: Tensor, size: tuple[int, int]) -> Tensor:
     """The fit on a larger basis (n, H, W): coefficients bilinear between pixel centres."""
     large = functional.interpolate(
@@ -96,8 +145,12 @@ def lambert_basis(albedo: Tensor, normal: Tensor) -> Tensor:
     return torch.cat([albedo * normal, albedo[None]])
 
 
-def object_light(own: Tensor, albedo: Tensor, normal: Tensor, mask: Tensor) -> list[Tensor]:
+def object_light(
+    own: Tensor, albedo: Tensor, normal: Tensor, mask: Tensor, reach: float = 0.0
+) -> list[Tensor]:
     """Coefficients (h, w, 5) of each channel of the object's own light, all premultiplied.
+
+    Where light is smooth over a reach, they are those of a smooth fit.
 
     The basis is Lambert's and a one for highlights, which get what a dark albedo leaves over; it
     is blurred as a decoder blurs. Pixels count by their squared cover, from a quarter on.
@@ -113,17 +166,12 @@ def object_light(own: Tensor, albedo: Tensor, normal: Tensor, mask: Tensor) -> l
         )
         energy = float((counted * colour**2).sum())
         shading = float((counted * colour * light).sum()) / energy if energy > 0.0 else 1.0
+        ridge, usual = [1e-2, 1e-2, 1e-2, 0.0, 0.3], [0.0, 0.0, 0.0, shading, 0.0]
+        if reach > 0.0:
+            fits.append(smooth_fit(light, counted, basis, ridge, usual, reach))
+            continue
         leftover = torch.zeros_like(basis)
         leftover[-2] = colour / (colour**2 + DARK**2)
         leftover[-1] = DARK**2 / (colour**2 + DARK**2)
-        fits.append(
-            guided_fit(
-                light,
-                counted,
-                basis,
-                ridge=[1e-2, 1e-2, 1e-2, 0.0, 0.3],
-                usual=[0.0, 0.0, 0.0, shading, 0.0],
-                leftover=leftover,
-            )
-        )
+        fits.append(guided_fit(light, counted, basis, ridge, usual, leftover))
     return fits

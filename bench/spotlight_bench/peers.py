@@ -19,7 +19,7 @@ import numpy as np
 from spotlight_bench.errors import BenchError
 from spotlight_spec import write_json
 
-__all__ = ["RELEASE", "Measured", "Peer", "PeerError", "Row", "measure", "rows"]
+__all__ = ["RELEASE", "Measured", "Peer", "PeerError", "Row", "among", "measure", "rows"]
 
 RELEASE: Final = "release"
 """The public release's loop as a plan: 60 evaluations at 20 steps, nothing left out."""
@@ -129,6 +129,24 @@ class _Wish:
     evaluations: int
     relights: list[str]
     output: str = field(default="")
+
+
+def among(peers: Sequence[Peer], names: str) -> tuple[Peer, ...]:
+    """Those of some names, separated by commas; all where none is given.
+
+    Raises
+    ------
+    PeerError
+        If there is no such peer, or none of ours is left to hold the others against.
+    """
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    known = [peer.name for peer in peers]
+    if unknown := [name for name in wanted if name not in known]:
+        raise PeerError(f"peers: expected some of {', '.join(known)}, got {', '.join(unknown)}")
+    left = tuple(peer for peer in peers if not wanted or peer.name in wanted)
+    if not any(peer.engine == "spotlight" for peer in left):
+        raise PeerError(f"peers: expected one of ours among {', '.join(wanted)}")
+    return left
 
 
 def measure(

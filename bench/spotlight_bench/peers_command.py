@@ -47,6 +47,10 @@ def peers(
     ours: Annotated[
         str, typer.Option(help="Precisions of ours, separated by commas; mini has its own.")
     ] = "int8,fp32",
+    only: Annotated[
+        str,
+        typer.Option(help="Peers, by name, separated by commas.", show_default="all"),
+    ] = "",
     rounds: Annotated[
         int | None, typer.Option(min=1, help="Turns of every peer.", show_default=str(ROUNDS))
     ] = None,
@@ -87,6 +91,7 @@ def peers(
             chosen, spec = torch_peers(SIZES[size], output, precisions, openvino, status.update)
         else:
             chosen, spec = mini_peers(openvino)
+        chosen = bench.among(chosen, only)
         measured = []
         for one in bench.measure(
             chosen, spec, output / "runs", side=SIZES[size].side, threads=threads,

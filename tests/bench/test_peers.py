@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from spotlight_bench.peers import Measured, Peer, PeerError, measure, rows
+from spotlight_bench.peers import Measured, Peer, PeerError, among, measure, rows
 from spotlight_bench.peers_command import peers
 from spotlight_bench.peers_engines import open_engine
 from spotlight_bench.peers_worker import evaluations, relight, scene_of
@@ -32,6 +32,7 @@ def test_scene_has_two_shadows_beside_the_object():
         ("onnxruntime", "fp32", 1e-5),
         pytest.param("openvino", "fp32", 1e-5, marks=needs_openvino),
         pytest.param("openvino", "bf16", 3e-2, marks=needs_openvino),
+        pytest.param("spotlight", "openvino-bf16", 3e-2, marks=needs_openvino),
     ],
 )
 def test_engines_give_what_ours_does(backbone_folder, engine, precision, tolerance):
@@ -55,6 +56,15 @@ def pair(backbone_folder):
         Peer("plain", "plain", "onnxruntime", backbone_folder),
         Peer("ours", "ours", "spotlight", backbone_folder, "own", ("release", "draft")),
     )
+
+
+def test_peers_are_chosen_by_name(pair):
+    assert among(pair, "") == pair
+    assert among(pair, "ours") == pair[1:]
+    with pytest.raises(PeerError, match="expected some of plain, ours, got theirs"):
+        among(pair, "ours, theirs")
+    with pytest.raises(PeerError, match="expected one of ours among plain"):
+        among(pair, "plain")
 
 
 def test_a_round_measures_every_peer_in_its_own_process(pair, backbone_folder, tmp_path):

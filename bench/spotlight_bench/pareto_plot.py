@@ -50,12 +50,13 @@ def plot(found: Sequence[Point], rungs: Sequence[Point], files: Sequence[Path], 
         [100 * p.cost for p in on_front], [p.fidelity for p in on_front],
         color=FRONT, linewidth=1.6, drawstyle="steps-post", zorder=3, label="Pareto front",
     )  # fmt: skip
-    for point in (p for p in rungs if p.rung in NAMED):
+    for number, point in enumerate(p for p in rungs if p.rung in NAMED):
         place = (100 * point.cost, point.fidelity)
         axes.plot(*place, "o", markersize=9, markerfacecolor="none", color=FRONT, zorder=4)
         axes.annotate(
-            f"{point.rung}\n{point.candidate.name}", place, xytext=(-10, 14),
+            f"{point.rung}\n{point.candidate.name}", place, xytext=(-10, 14 + 26 * number),
             textcoords="offset points", color=FRONT, ha="right", fontsize=9, zorder=5,
+            arrowprops={"arrowstyle": "-", "color": FRONT, "linewidth": 0.6},
         )  # fmt: skip
     axes.set_xscale("log")
     axes.set_xlim(left=ROOM * 100 * min((point.cost for point in savings), default=1.0))

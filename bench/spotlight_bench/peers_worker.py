@@ -127,7 +127,8 @@ def relight(
     -------
     seconds : float
     evaluations : int
-    prediction : ndarray of float32, shape (side, side, 3)
+    image : ndarray of float32, shape (side, side, 3)
+        The finished picture: what plans diffuse of it differs.
     """
     scene, guide = scene_of(side)
     relighter = Relighter(spec, networks, remember=0)
@@ -137,7 +138,7 @@ def relight(
         result = relighter.relight(scene, guide, options=options, fidelity="release", skip=ours)
     else:
         result = relighter.relight(scene, guide, options=options, plan=plan)  # type: ignore[arg-type]
-    return time.perf_counter() - start, result.evaluations, result.prediction
+    return time.perf_counter() - start, result.evaluations, result.image
 
 
 def scene_of(side: int) -> tuple[Scene, GuidingShadow]:

@@ -106,6 +106,19 @@ def test_predicted_seconds_are_those_of_the_calls(slow, scene, shadow):
     assert plan.seconds == pytest.approx(prepared + calls["denoiser"] + 0.1 * others)
 
 
+def test_every_pass_that_is_run_starts_cold(slow, scene, shadow):
+    usual = slow.prepare(scene, shadow, denoise=False).plan
+    slow.costs = replace(SLOW, start=Line(2.0, 0.0))
+    for lights in ([shadow], [shadow, 0.5 * shadow]):
+        plan = slow.prepare(scene, lights, denoise=False).plan
+        seconds = {e.name: e.seconds for e in plan.effects}
+        assert seconds["pass without shadow"] == pytest.approx(
+            {e.name: e.seconds for e in usual.effects}["pass without shadow"] + 2.0
+        )
+        assert plan.passes_run == len(lights) + 1
+        assert seconds["relight"] >= len(lights) * (2.0 + plan.passes[0].steps)
+
+
 @pytest.mark.parametrize("factor", [0.4, 0.9, 3.0])
 def test_pace_follows_the_machine(factor):
     pace = Pace()

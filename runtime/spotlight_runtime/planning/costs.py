@@ -22,11 +22,11 @@ from spotlight_spec import write_json
 
 __all__ = ["Costs", "Line", "Pace", "Seconds", "cache_path", "read_costs", "write_costs"]
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Of the cache file; files of another version are measured anew."""
 TRUST: Final = 0.2
 """Share of a relight's surprise that the next prediction takes on: a single one may be chance."""
-EVALUATIONS: Final = ("evaluation", "shallow")
+EVALUATIONS: Final = ("evaluation", "shallow", "start")
 """Costs of the denoiser."""
 SURPRISE: Final = math.log(2.0)
 """The most that counts: one that opened sessions, or stood still meanwhile, took much longer."""
@@ -82,6 +82,9 @@ class Costs:
         Putting a window back into a larger photograph, by the photograph's pixels.
     shallow : Line
         Of one branch, an evaluation that goes without the deep part; 0 where the model has none.
+    start : Line
+        By how much the first evaluation of a pass takes longer than those after it: other graphs
+        ran in between, and its memory and threads are cold.
     """
 
     evaluation: Line
@@ -91,10 +94,12 @@ class Costs:
     frame: Line
     window: Line
     shallow: Line = Line(0.0, 0.0)
+    start: Line = Line(0.0, 0.0)
 
-    def evaluations(self, latents: int, whole: int, shallow: int) -> float:
-        """Seconds of evaluations of one branch, with the deep part and without."""
-        return whole * self.evaluation.at(latents) + shallow * self.shallow.at(latents)
+    def evaluations(self, latents: int, whole: int, shallow: int, passes: int) -> float:
+        """Seconds of evaluations of one branch, with the deep part and without, in some passes."""
+        each = whole * self.evaluation.at(latents) + shallow * self.shallow.at(latents)
+        return each + passes * self.start.at(latents)
 
     def composite(self, pixels: int, native: bool) -> float:
         """Seconds to put a picture of so many pixels together."""

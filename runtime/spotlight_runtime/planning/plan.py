@@ -157,6 +157,11 @@ class Plan:
         return self.plain.shallow + sum(sum(p.shallow) for p in self.passes)
 
     @property
+    def passes_run(self) -> int:
+        """How many passes are evaluated, that without shadow among them."""
+        return len(self.passes) + (self.plain.source == "run")
+
+    @property
     def seconds(self) -> float | None:
         """Predicted time of it all; None where the machine has not been measured."""
         known = [effect.seconds for effect in self.effects if effect.seconds is not None]

@@ -242,6 +242,7 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
     decode, encode = costs.decode.at(size), costs.encode.at(size)
     negatives = sum(p.branches - 1 for p in plan.passes)
     ran = plan.plain.source == "run"
+    passes = {"relight": len(plan.passes), "pass without shadow": int(ran)}
     extra = {
         "relight": len(plan.passes) * (condition + decode),
         "guidance": negatives * condition,
@@ -254,7 +255,12 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
         if effect.seconds is not None
         else replace(
             effect,
-            seconds=costs.evaluations(size, effect.evaluations - effect.shallow, effect.shallow)
+            seconds=costs.evaluations(
+                size,
+                effect.evaluations - effect.shallow,
+                effect.shallow,
+                passes.get(effect.name, 0),
+            )
             + extra.get(effect.name, 0.0),
         )
         for effect in plan.effects

@@ -22,7 +22,8 @@ __all__ = ["made_up_scene", "measure_costs"]
 
 Relight = Callable[[Scene, FloatArray, RelightOptions], RelightResult]
 
-STEPS: Final = 2
+STEPS: Final = 4
+"""Against a single one: what a pass's first evaluation takes longer is told apart."""
 REUSE: Final = 3
 """As plans have it: a shallow evaluation after another is quicker than one after a whole one."""
 LARGE: Final = 4
@@ -46,14 +47,14 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
     """
     half, whole = spec.size // 2, spec.size
 
-    def run(side: int, steps: int = STEPS, reuse: int = 1, **how: Any) -> dict[str, float]:
+    def run(side: int, steps: int = 1, reuse: int = 1, **how: Any) -> dict[str, float]:
         scene, shadow = made_up_scene(side)
         options = RelightOptions(steps=steps, reuse=reuse, skip=False, **how)
         return relight(scene, shadow, options).timings
 
     run(half, REUSE, REUSE)  # opens the sessions
     small, full, large = run(half), run(whole), run(LARGE * whole)
-    tight = run(whole, 1, window="tight")
+    tight = run(whole, window="tight")
     scale = spec.latent.downscale
     latents = [float((side // scale) ** 2) for side in (half, whole, whole)]
     measured = (small, full, large)
@@ -62,17 +63,22 @@ def measure_costs(spec: BackboneSpec, relight: Relight, *, reusable: bool = Fals
         seconds = [sum(run.get(stage, 0.0) for stage in stages) / calls for run in measured]
         return Line.through(latents, seconds)
 
-    def shallow_at(side: int, whole: dict[str, float]) -> float:
-        again = run(side, REUSE, REUSE)  # all evaluations but the first are shallow
-        evaluations, both = (r["relight"] + r["no shadow"] for r in (whole, again))
-        return max(0.0, both - evaluations / STEPS) / (3 * (REUSE - 1))
+    def evaluating(timings: dict[str, float]) -> float:
+        """Seconds of the two passes: three evaluations a step."""
+        return timings["relight"] + timings["no shadow"]
 
-    shallow = Line(0.0, 0.0)
-    if reusable:
-        shallow = Line.through(latents[:2], [shallow_at(half, small), shallow_at(whole, full)])
+    each, start, shallow = [], [], []
+    for side, one in ((half, small), (whole, full)):
+        more = evaluating(run(side, STEPS)) - evaluating(one)
+        each.append(max(0.0, more) / (3 * (STEPS - 1)))
+        start.append(max(0.0, evaluating(one) - 3 * each[-1]) / 2)
+        if reusable:  # all evaluations but the first are shallow
+            more = evaluating(run(side, REUSE, REUSE)) - evaluating(one)
+            shallow.append(max(0.0, more) / (3 * (REUSE - 1)))
     return Costs(
-        shallow=shallow,
-        evaluation=line(3 * STEPS, "relight", "no shadow"),
+        evaluation=Line.through(latents[:2], each),
+        start=Line.through(latents[:2], start),
+        shallow=Line.through(latents[:2], shallow) if reusable else Line(0.0, 0.0),
         condition=line(3, "condition"),
         encode=line(2, "encode"),
         decode=line(2, "decode", "denoise"),

@@ -371,7 +371,8 @@ class Relighter:
         if self.costs is None or total is None:
             return
         latents, whole = task.prepared.latents(self.spec), plan.evaluations - plan.shallow
-        predicted = self._pace.of(self.costs).evaluations(latents, whole, plan.shallow)
+        costs = self._pace.of(self.costs)
+        predicted = costs.evaluations(latents, whole, plan.shallow, plan.passes_run)
         took = timings["relight"] + timings.get("no shadow", 0.0)
         over = timings["prepare"]
         self._pace.learn(

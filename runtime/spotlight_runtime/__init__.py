@@ -13,7 +13,6 @@ from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.geometry.lights import Light
 from spotlight_runtime.imaging.images import read_image, write_image
 from spotlight_runtime.imaging.picture_files import write_picture
-from spotlight_runtime.networks.models import Engine
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.relighting.guides import GuidingShadow
 from spotlight_runtime.relighting.relighter import Relighter
@@ -22,7 +21,6 @@ from spotlight_runtime.relighting.window import Window
 from spotlight_runtime.scenes.scene import Intrinsics, Scene
 
 __all__ = [
-    "Engine",
     "GuidingShadow",
     "Intrinsics",
     "Light",

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from spotlight_runtime import Engine
 from spotlight_runtime.errors import SpotLightError
+from spotlight_runtime.networks.models import Engine
 from spotlight_service.problems import ProblemError
 from spotlight_service.security.keys import KeyStore
 from spotlight_service.settings import Settings

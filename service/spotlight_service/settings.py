@@ -9,7 +9,7 @@ from typing import Final
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from spotlight_runtime import Engine
+from spotlight_runtime.networks.models import Engine
 
 __all__ = ["LOOPBACK", "Settings"]
 

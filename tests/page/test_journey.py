@@ -155,7 +155,15 @@ def shown(page, folder, selector):
     url = page.evaluate(
         """async selector => {
             const image = document.querySelector(selector);
-            await image.decode();
+            for (let left = 50; ; left -= 1) {
+                try {
+                    await image.decode();
+                    break;
+                } catch (error) {  // another picture was put in its place meanwhile
+                    if (!left) throw error;
+                    await new Promise((resolve) => setTimeout(resolve, 100));
+                }
+            }
             const canvas = document.createElement("canvas");
             [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
             canvas.getContext("2d").drawImage(image, 0, 0);

@@ -282,7 +282,7 @@ def test_a_sweep_is_leafed_through(visit, client):
     page.keyboard.press("ArrowLeft")
     page.get_by_text("0°, right", exact=True).wait_for()
     assert divider.input_value() == "20"
-    page.wait_for_function("document.querySelector('#after').naturalWidth === 256")
+    page.wait_for_function("() => document.querySelector('#after').naturalWidth === 256")
     with page.expect_download() as picture_file:
         page.get_by_role("button", name="Download picture").click()
     assert picture_file.value.path().read_bytes() == client.result(job, light=0)

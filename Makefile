@@ -32,9 +32,10 @@ lint: setup     ## style and import boundaries
 types: setup    ## static types, strict on specification and runtime
 	$(BIN)/mypy
 
-unit: setup     ## unit and property tests with coverage, then export, parity and the README
+unit: setup     ## unit and property tests with coverage, then export, parity and the README, then the page
 	$(BIN)/pytest -m 'not full' -n $(JOBS) --dist loadfile tests/spec tests/runtime --cov --cov-report=term
-	$(BIN)/pytest -m 'not full' -n $(JOBS) --dist loadfile --ignore=tests/spec --ignore=tests/runtime
+	$(BIN)/pytest -m 'not full' -n $(JOBS) --dist loadfile --ignore=tests/spec --ignore=tests/runtime --ignore=tests/page
+	$(BIN)/pytest -m 'not full' tests/page
 
 edge:           ## build the wheel, install it without torch, run the runtime's tests on it
 	python3 -m venv --clear $(EDGE_VENV)

@@ -183,8 +183,8 @@ def test_cancel(visit, client):
     page.locator("#forming").wait_for()
     page.get_by_role("button", name="Cancel").click()
     page.locator("#run").wait_for(state="hidden")
+    page.locator("#history li").first.get_by_text("Cancelled").wait_for()
     assert client.jobs()[0].facts["state"] == "cancelled"
-    assert "Cancelled" in page.locator("#history li").first.inner_text()
     assert page.get_by_role("button", name="Relight").is_enabled()
 
 

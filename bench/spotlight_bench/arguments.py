@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["JsonFile", "Resume", "Threads"]
+__all__ = ["JsonFile", "Resume", "Threads", "names"]
 
 JsonFile = Annotated[
     Path | None, typer.Option("--json", help="Write all figures here, for machines.")
@@ -18,3 +18,8 @@ Resume = Annotated[
 Threads = Annotated[
     int | None, typer.Option(min=1, help="Threads.", show_default="all this process may use")
 ]
+
+
+def names(given: str) -> tuple[str, ...]:
+    """Names that were given separated by commas."""
+    return tuple(name.strip() for name in given.split(",") if name.strip())

@@ -81,10 +81,8 @@ def evaluate(
     from spotlight_runtime import RelightOptions
     from spotlight_runtime.networks.sessions import available_cpus
 
-    if methods is None:
-        wanted = list(QUICK if quick else BUILT_IN)
-    else:  # nothing between commas is no name: with "" there are the folders' methods alone
-        wanted = [name.strip() for name in methods.split(",") if name.strip()]
+    # Nothing between commas is no name: with "" there are the folders' methods alone.
+    wanted = tuple(QUICK if quick else BUILT_IN) if methods is None else a.names(methods)
     chosen = choose(wanted, method or ())
     reference = QUICK_SCENES if quick and scenes is None else scenes
     user = (QUICK_USER_SCENES if quick else USER_SCENES) if user_scenes is None else user_scenes

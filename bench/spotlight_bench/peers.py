@@ -131,15 +131,14 @@ class _Wish:
     output: str = field(default="")
 
 
-def among(peers: Sequence[Peer], names: str) -> tuple[Peer, ...]:
-    """Those of some names, separated by commas; all where none is given.
+def among(peers: Sequence[Peer], wanted: Sequence[str]) -> tuple[Peer, ...]:
+    """Those of some names; all where none is given.
 
     Raises
     ------
     PeerError
         If there is no such peer, or none of ours is left to hold the others against.
     """
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
     known = [peer.name for peer in peers]
     if unknown := [name for name in wanted if name not in known]:
         raise PeerError(f"peers: expected some of {', '.join(known)}, got {', '.join(unknown)}")

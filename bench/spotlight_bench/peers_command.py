@@ -87,11 +87,11 @@ def peers(
     output.mkdir(parents=True, exist_ok=True)
     with errors.status("preparing") as status:
         if SIZES[size].checkpoint:
-            precisions = tuple(name.strip() for name in ours.split(",") if name.strip())
+            precisions = a.names(ours)
             chosen, spec = torch_peers(SIZES[size], output, precisions, openvino, status.update)
         else:
             chosen, spec = mini_peers(openvino)
-        chosen = bench.among(chosen, only)
+        chosen = bench.among(chosen, a.names(only))
         measured = []
         for one in bench.measure(
             chosen, spec, output / "runs", side=SIZES[size].side, threads=threads,

@@ -43,8 +43,8 @@ def open_engine(engine: str, source: Path, precision: str, threads: int) -> Netw
 
         return networks(source, half=precision == "bf16", threads=threads)
     if engine == "spotlight":
-        other: Any = {"engine": precision} if precision == HALF else {}
-        return open_networks(resolve_model(source), threads=threads, **other)
+        ours = HALF if precision == HALF else "onnxruntime"
+        return open_networks(resolve_model(source), engine=ours, threads=threads)
     graphs = {path.stem: path for path in sorted(source.glob("*.onnx"))}
     opener = _onnxruntime if engine == "onnxruntime" else _openvino
     found = {name: opener(path, precision, threads) for name, path in graphs.items()}

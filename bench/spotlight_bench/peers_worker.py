@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from spotlight_bench.peers_engines import open_engine
-from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, Scene
+from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, RelightResult, Scene
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.relighting.calibration import made_up_scene
 from spotlight_runtime.relighting.result import peak_memory_bytes
@@ -60,13 +60,13 @@ def main(wish: dict[str, Any]) -> dict[str, Any]:
         "relight_evaluations": {},
     }
     for plan in wish["relights"]:
-        took, count, picture = relight(
+        took, result = relight(
             networks, spec, wish["side"], plan, ours=wish["engine"] == "spotlight",
             batched=wish["engine"] == "torch",
         )  # fmt: skip
         answer["relight_seconds"][plan] = took
-        answer["relight_evaluations"][plan] = count
-        np.save(output / f"relight_{plan}.npy", picture)
+        answer["relight_evaluations"][plan] = result.evaluations
+        np.save(output / f"relight_{plan}.npy", result.image)  # what plans diffuse of it differs
     return answer | {"peak_memory_bytes": peak_memory_bytes()}
 
 
@@ -108,7 +108,7 @@ def relight(
     *,
     ours: bool,
     batched: bool,
-) -> tuple[float, int, FloatArray]:
+) -> tuple[float, RelightResult]:
     """A whole relight: ``release`` is the public release's loop, others are our named plans.
 
     Parameters
@@ -126,9 +126,7 @@ def relight(
     Returns
     -------
     seconds : float
-    evaluations : int
-    image : ndarray of float32, shape (side, side, 3)
-        The finished picture: what plans diffuse of it differs.
+    result : RelightResult
     """
     scene, guide = scene_of(side)
     relighter = Relighter(spec, networks, remember=0)
@@ -138,7 +136,7 @@ def relight(
         result = relighter.relight(scene, guide, options=options, fidelity="release", skip=ours)
     else:
         result = relighter.relight(scene, guide, options=options, plan=plan)  # type: ignore[arg-type]
-    return time.perf_counter() - start, result.evaluations, result.image
+    return time.perf_counter() - start, result
 
 
 def scene_of(side: int) -> tuple[Scene, GuidingShadow]:

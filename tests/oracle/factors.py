@@ -38,19 +38,40 @@ def spread(plane: Tensor, sigma: float) -> Tensor:
     return functional.conv2d(padded, kernel[None, None])[0, 0]
 
 
-def local_coefficients(
-    values: Tensor, weights: Tensor, basis: Tensor, ridge: list[float], usual: list[float]
+def agreed_coefficients(
+    values: Tensor,
+    weights: Tensor,
+    basis: Tensor,
+    ridge: list[float],
+    usual: list[float],
+    sigma: float,
+    cell: float = 1.0,
 ) -> Tensor:
-    """The minimisers, shape (h, w, n), of values and weights (h, w) and a basis (n, h, w)."""
+    """The minimisers, agreed on by neighbours; shape (rows, columns, n).
+
+    Of values and weights (h, w) and a basis (n, h, w), around each cell of a size.
+    """
     epsilon = PRIOR * (float(weights.mean()) or 1.0)
-    near = spread(weights, FIT_SIGMA) + epsilon
+
+    def around(plane: Tensor) -> Tensor:
+        return spread(cells(plane, cell), sigma)
+
+    near = around(weights) + epsilon
     normal_matrix = torch.stack(
-        [torch.stack([spread(weights * a * b, FIT_SIGMA) for a in basis], -1) for b in basis], -1
+        [torch.stack([around(weights * a * b) for a in basis], -1) for b in basis], -1
     )
-    moments = torch.stack([spread(weights * a * values, FIT_SIGMA) for a in basis], -1)
+    moments = torch.stack([around(weights * a * values) for a in basis], -1)
     penalty = near[..., None] * torch.tensor(ridge, dtype=values.dtype) + epsilon
     moments = moments + epsilon * torch.tensor(usual, dtype=values.dtype)
-    return torch.linalg.solve(normal_matrix + torch.diag_embed(penalty), moments)
+    raw = torch.linalg.solve(normal_matrix + torch.diag_embed(penalty), moments)
+    weight = cells(weights, cell)
+    return torch.stack(
+        [
+            (spread(weight * raw[..., i], sigma) + epsilon * usual[i]) / near
+            for i in range(len(basis))
+        ],
+        -1,
+    )
 
 
 def guided_fit(
@@ -66,12 +87,7 @@ def guided_fit(
     By default the last one gets all of it.
     """
     epsilon = PRIOR * (float(weights.mean()) or 1.0)
-    near = spread(weights, FIT_SIGMA) + epsilon
-    raw = local_coefficients(values, weights, basis, ridge, usual)
-    agreed = [
-        (spread(weights * raw[..., i], FIT_SIGMA) + epsilon * usual[i]) / near
-        for i in range(len(basis))
-    ]
+    agreed = agreed_coefficients(values, weights, basis, ridge, usual, FIT_SIGMA).unbind(-1)
     left = values - sum(c * x for c, x in zip(agreed, basis))
     close = spread(weights, LEFTOVER_SIGMA) + epsilon
     if leftover is None:
@@ -90,26 +106,8 @@ def smooth_fit(
     reach: float,
 ) -> Tensor:
     """Coefficients of cells, agreed on by neighbours; shape (rows, columns, n)."""
-    epsilon = PRIOR * (float(weights.mean()) or 1.0)
     cell = max(1.0, reach / 2.0)
-
-    def around(plane: Tensor) -> Tensor:
-        return spread(cells(plane, cell), reach / cell)
-
-    near = around(weights) + epsilon
-    normal_matrix = torch.stack(
-        [torch.stack([around(weights * a * b) for a in basis], -1) for b in basis], -1
-    )
-    moments = torch.stack([around(weights * a * values) for a in basis], -1)
-    moments = moments + epsilon * torch.tensor(usual, dtype=values.dtype)
-    penalty = near[..., None] * torch.tensor(ridge, dtype=values.dtype) + epsilon
-    raw = torch.linalg.solve(normal_matrix + torch.diag_embed(penalty), moments)
-    weight = cells(weights, cell)
-    agreed = [
-        (spread(weight * raw[..., i], reach / cell) + epsilon * usual[i]) / near
-        for i in range(len(basis))
-    ]
-    return torch.stack(agreed, -1)
+    return agreed_coefficients(values, weights, basis, ridge, usual, reach / cell, cell)
 
 
 def cells(plane: Tensor, size: float) -> Tensor:

@@ -101,8 +101,7 @@ def open_graph(
     }
     path = folder / contract.file_name
     try:
-        model = ov.Core().read_model(str(path))
-        compiled = ov.Core().compile_model(model, "CPU", settings)
+        compiled = ov.Core().compile_model(str(path), "CPU", settings)
     except RuntimeError as error:
         raise ModelError(f"{path}: OpenVINO cannot load the graph: {error}") from error
     for expected, ports in (

@@ -67,9 +67,6 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
         blurred = _blurred(_light_guide(colour * mask, normal), mask)
         slopes, energy = normal.shape[2], float((counted * colour**2).sum())
         shading = float((counted * colour * value).sum()) / energy if energy > 0.0 else 1.0
-        leftover = np.zeros((*mask.shape, slopes + 2), dtype=np.float32)
-        leftover[..., -2] = colour / (colour**2 + DARK**2)
-        leftover[..., -1] = DARK**2 / (colour**2 + DARK**2)
         fits.append(
             fit_guided(
                 value,
@@ -77,12 +74,20 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
                 blurred,
                 ridge=(*[SLOPE_RIDGE] * slopes, 0.0, HIGHLIGHT_RIDGE),
                 usual=(*[0.0] * slopes, shading, 0.0),
-                leftover=leftover,
+                leftover=None if reach else _leftover(colour, slopes),
                 reach=reach or FIT_SIGMA,
                 smooth=reach > 0.0,
             )
         )
     return tuple(fits)
+
+
+def _leftover(colour: FloatArray, slopes: int) -> FloatArray:
+    """How what a fit leaves over is shared: to the highlight where the albedo is dark."""
+    shares = np.zeros((*colour.shape, slopes + 2), dtype=np.float32)
+    shares[..., -2] = colour / (colour**2 + DARK**2)
+    shares[..., -1] = DARK**2 / (colour**2 + DARK**2)
+    return shares
 
 
 def light_rows(

@@ -23,6 +23,7 @@ from spotlight_training.data import (  # noqa: E402
 from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402
 from spotlight_training.loop import TrainingOptions  # noqa: E402
 from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
+from spotlight_training.restore import restore  # noqa: E402
 from spotlight_training.ship import ship  # noqa: E402
 
 
@@ -161,6 +162,13 @@ def test_shipped_model_is_verified_and_relights(trained, tmp_path):
     )
     assert reused.plan.calls()["denoiser_shallow"] == 3
     assert np.isfinite(reused.image).all()
+    _, folder, _ = restore(tmp_path / "mini", tmp_path / "again")
+    again = runs.load_renderer(folder)[0].state_dict()
+    for name, value in renderer.state_dict().items():
+        torch.testing.assert_close(again[name], value, rtol=1e-3, atol=1e-6)
+    again = runs.load_estimator(tmp_path / "again/intrinsics").state_dict()
+    for name, value in estimator.state_dict().items():
+        torch.testing.assert_close(again[name], value, rtol=1e-3, atol=1e-6)
     estimate = open_networks(resolve_model(tmp_path / "mini"))["intrinsics"]
     maps = estimate(image=np.full((1, 3, 64, 96), 0.5, np.float32))["maps"]
     assert maps.shape == (1, 7, 64, 96)

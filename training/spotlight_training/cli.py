@@ -279,6 +279,18 @@ def export_model(
     typer.echo(f"{output}: {size:.1f} MB, worst relative error against torch {worst:.1e}")
 
 
+@app.command()
+def restore(
+    model: Annotated[str, typer.Argument(help="Model that `export` wrote: its folder or name.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the run folders.")],
+) -> None:
+    """Take a model's weights out again, as run folders that trainings `--start` from."""
+    from .restore import restore as restored
+
+    for run in restored(model, output):
+        typer.echo(run)
+
+
 def _options(
     steps: int,
     minutes: float | None,
@@ -311,7 +323,7 @@ def main() -> None:
     """
     try:
         app()
-    except (ValueError, KeyError, FileNotFoundError, RuntimeError, ImportError) as error:
+    except (ValueError, KeyError, OSError, RuntimeError, ImportError) as error:
         # A KeyError's text is its argument's repr, an OSError's first argument a mere number.
         message = str(error.args[0]) if isinstance(error, KeyError) else str(error)
         if isinstance(error, ImportError):

@@ -33,7 +33,16 @@ from spotlight_training.objectives import (
     vae_sheet,
 )
 
-__all__ = ["load_renderer", "load_vae", "train_intrinsics", "train_renderer", "train_vae"]
+__all__ = [
+    "load_renderer",
+    "load_vae",
+    "new_renderer",
+    "save_run",
+    "spec_of",
+    "train_intrinsics",
+    "train_renderer",
+    "train_vae",
+]
 
 MODEL_FILE = "model.safetensors"
 DEPTH = 6
@@ -76,8 +85,7 @@ def train_vae(
     else:
         _load(network, start / MODEL_FILE)
     shape = {"latent": latent, "width": width}
-    run.mkdir(parents=True, exist_ok=True)
-    _save(run, network, shape)
+    save_run(run, network, shape)
     model = train(
         network,
         vae_loss,
@@ -86,7 +94,7 @@ def train_vae(
         options,
         vae_sheet(samples, options.device),
     )
-    _save(run, model, shape)
+    save_run(run, model, shape)
 
 
 def train_renderer(
@@ -120,7 +128,7 @@ def train_renderer(
     """
     autoencoder, spec = load_vae(vae)
     samples = _held_out(RendererData(Packed(held_out), spec), options.samples)
-    network = _renderer(autoencoder, spec, width)
+    network = new_renderer(autoencoder, spec, width)
     if start is not None:
         _load(network, start / MODEL_FILE)
     model = train(
@@ -131,7 +139,7 @@ def train_renderer(
         options,
         renderer_sheet(samples, spec, options.device),
     )
-    _save(
+    save_run(
         run,
         model,
         {"width": width, "vae": {"latent": autoencoder.latent, "width": autoencoder.width}},
@@ -160,25 +168,26 @@ def train_intrinsics(
         options,
         intrinsics_sheet(samples, options.device),
     )
-    _save(run, model, {})
+    save_run(run, model, {})
 
 
 def load_vae(run: Path) -> tuple[VAE, BackboneSpec]:
     """The trained VAE of a run, and the embedded backbone's spec with its latent space."""
     shape = _read_shape(run)
-    return _vae(shape, run / MODEL_FILE), _spec(shape)
+    return _vae(shape, run / MODEL_FILE), spec_of(shape)
 
 
 def load_renderer(run: Path) -> tuple[Renderer, BackboneSpec]:
     """The trained renderer of a run with its VAE, and the spec of the backbone they make."""
     shape = _read_shape(run)
-    spec = _spec(shape["vae"])
-    model = _renderer(_vae(shape["vae"], None), spec, shape["width"])
+    spec = spec_of(shape["vae"])
+    model = new_renderer(_vae(shape["vae"], None), spec, shape["width"])
     _load(model, run / MODEL_FILE)
     return model.eval(), spec
 
 
-def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
+def new_renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
+    """Untrained condition encoder and denoiser over a VAE."""
     channels = {}
     start = 0
     for entry in spec.maps:
@@ -190,7 +199,8 @@ def _renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
     return Renderer(vae, condition, denoiser)
 
 
-def _spec(shape: dict[str, Any]) -> BackboneSpec:
+def spec_of(shape: dict[str, Any]) -> BackboneSpec:
+    """The embedded backbone's spec, with the latent channels of a VAE's ``shape``."""
     mini = BACKBONES["mini"]
     return replace(mini, latent=replace(mini.latent, channels=shape["latent"]))
 
@@ -214,7 +224,9 @@ def _patches(draw: PictureData, count: int = 192) -> torch.Tensor:
     return columns.transpose(1, 2).flatten(0, 1).double()
 
 
-def _save(run: Path, model: nn.Module, shape: dict[str, Any]) -> None:
+def save_run(run: Path, model: nn.Module, shape: dict[str, Any]) -> None:
+    """Write a run's weights, and in their metadata the network's shape."""
+    run.mkdir(parents=True, exist_ok=True)
     partial = run / f"{MODEL_FILE}.partial"
     # A renderer holds the VAE's encoder twice; safetensors stores no aliases.
     weights = {name: value.cpu().clone() for name, value in model.state_dict().items()}

@@ -17,7 +17,7 @@ BoolArray = npt.NDArray[np.bool_]
 DROP_ALL = 0.05
 OBJECT = 0.75
 ABOUT_OBJECT = 0.5
-FURTHER_SHAPES = (0, 0, 1, 1, 2, 3)
+FURTHER_SHAPES = (0, 0, 0, 1, 1, 2)
 
 
 def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) -> BoolArray:
@@ -33,7 +33,7 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     -------
     ndarray of bool, shape (H, W)
         One picture in twenty is hidden whole; three in four hide the object, grown by up to 5 % of
-        the height; on two thirds of them come up to three rectangles or ellipses, half of these
+        the height; on half of them come one or two rectangles or ellipses, half of these
         about the object, so the hidden region has no telling outline. On the others all shadows are
         in sight: these teach what a shadow says about the object.
     """

@@ -12,7 +12,7 @@ from spotlight_service.storage.records import Job
 
 __all__ = ["Broker"]
 
-LOOK_S: Final = 0.04
+LOOK_S: Final = 0.015
 """Between two looks at the store: a query of a tenth of a millisecond, a percent of a short job."""
 BACKLOG: Final = 64
 """News a slow reader may fall behind by; it is then told the latest only."""

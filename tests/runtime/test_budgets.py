@@ -151,11 +151,13 @@ def test_one_relight_out_of_line_is_no_new_pace():
 
 def test_predictions_follow_the_relights(slow, scene, shadow):
     """The machine turns out to be far quicker than its costs say, and each relight shows it."""
-    promised = []
+    promised, took = [], []
     for _ in range(20):
         made = slow.relight(scene, shadow, steps=2, denoise=False)
-        promised.append(made.plan.seconds / sum(made.timings.values()))
-    assert promised[0] > 10.0
+        promised.append(made.plan.seconds)
+        took.append(sum(made.timings.values()))
+    usual = sorted(took)[10]  # the first of a process takes many times as long
+    assert promised[0] > 10.0 * usual
     assert promised[-1] < 0.25 * promised[0]
     assert slow.costs == SLOW
     slow.calibrated(again=True)

@@ -22,8 +22,9 @@ __all__ = ["divided", "fit_light", "light_rows"]
 
 DARK: Final = 0.1
 """Albedo below which what a fit leaves over is rather a highlight than a shadow."""
-SLOPE_RIDGE: Final = 1e-2
-"""Keeps slopes small where normals hardly vary."""
+SLOPE_RIDGE: Final = 0.1
+"""Keeps slopes small where normals hardly vary; of the albedo's mean square, so that dark objects
+have as much relief as bright ones."""
 HIGHLIGHT_RIDGE: Final = 0.3
 """Leaves to a highlight only what albedo cannot explain; 0.3 does best between 0.01 and 1."""
 DECODED_BLUR: Final = 0.45
@@ -67,12 +68,13 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
         blurred = _blurred(_light_guide(colour * mask, normal), mask)
         slopes, energy = normal.shape[2], float((counted * colour**2).sum())
         shading = float((counted * colour * value).sum()) / energy if energy > 0.0 else 1.0
+        slope = SLOPE_RIDGE * energy / max(float(counted.sum()), BARELY_COVERED)
         fits.append(
             fit_guided(
                 value,
                 counted,
                 blurred,
-                ridge=(*[SLOPE_RIDGE] * slopes, 0.0, HIGHLIGHT_RIDGE),
+                ridge=(*[slope] * slopes, 0.0, HIGHLIGHT_RIDGE),
                 usual=(*[0.0] * slopes, shading, 0.0),
                 leftover=None if reach else _leftover(colour, slopes),
                 reach=reach or FIT_SIGMA,

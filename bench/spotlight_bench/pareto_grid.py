@@ -4,7 +4,7 @@ The axes are those of `RelightOptions` that trade accuracy for time: solver, ste
 the branches are contrasted, steps of the pass without shadow, steps that share deep features,
 window. Combinations that come to the same plan (half of two steps and half of three, rounded) are
 one candidate. Every saving is combined with all solvers and steps; of guidance in some steps,
-shared features and a tight window only one at a time, for they save the same evaluations or none.
+shared features and another window only one at a time, for they save the same evaluations or none.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ FULL: Final = Grid(
     steps=(20, 12, 8, 6, 4, 3, 2, 1),
     intervals=((0.0, 1.0), (0.0, 0.5)),
     plain=(1.0, 0.5, 0.25),
-    windows=("auto", "tight"),
+    windows=("auto", "tight", "coarse"),
     reuses=(1, 2, 3),
 )
 QUICK: Final = Grid(

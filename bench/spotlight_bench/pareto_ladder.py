@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from spotlight_bench.errors import ResultsError
-from spotlight_bench.pareto_grid import EXACT
+from spotlight_bench.pareto_grid import EXACT, Candidate
 from spotlight_bench.pareto_summary import NEAR, Point, front
 
 __all__ = ["BALANCED_SHARE", "DRAFT_SHARE", "claims", "ladder_record", "name_rungs"]
@@ -67,7 +67,9 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def ladder_record(found: Sequence[Point], measured: dict[str, Any]) -> dict[str, Any]:
-    """What `spotlight_runtime.planning.ladder` reads: a ladder, and one for models without reuse.
+    """What `spotlight_runtime.planning.ladder` reads: a ladder, and one for any model.
+
+    Not every model can reuse features, or sees at half of its scale.
 
     Parameters
     ----------
@@ -76,7 +78,7 @@ def ladder_record(found: Sequence[Point], measured: dict[str, Any]) -> dict[str,
     measured : dict
         On what: model, scenes.
     """
-    whole = front([point for point in found if "reuse" not in point.candidate.options])
+    whole = front([point for point in found if _for_any(point.candidate)])
     ladders = {"rungs": name_rungs(found), "rungs_without_reuse": name_rungs(whole)}
     return {"measured": measured} | {
         name: [
@@ -90,6 +92,11 @@ def ladder_record(found: Sequence[Point], measured: dict[str, Any]) -> dict[str,
         ]
         for name, rungs in ladders.items()
     }
+
+
+def _for_any(candidate: Candidate) -> bool:
+    """Whether what it asks for every model can do: not all see at half their scale."""
+    return "reuse" not in candidate.options and candidate.options.get("window") != "coarse"
 
 
 def claims(rungs: Sequence[Point]) -> tuple[tuple[str, bool], ...]:

@@ -140,7 +140,7 @@ class RelightRequest(_Strict):
     steps: int | None = Field(None, ge=1, le=1000)
     solver: Literal["ddim", "dpmpp_2m", "unipc"] = "ddim"
     fidelity: Literal["paper", "release"] = "paper"
-    window: Literal["auto", "frame", "tight"] = "auto"
+    window: Literal["auto", "frame", "tight", "coarse"] = "auto"
     detail: Literal["auto", "renderer", "maps"] = "auto"
 
     def options(self) -> dict[str, Any]:

@@ -185,7 +185,7 @@ def requests(draw):
         guidance_interval=(low, high),
         reuse=draw(st.integers(1, 4)),
         batch_branches=draw(st.booleans()),
-        window=draw(st.sampled_from(["auto", "frame", "tight"])),
+        window=draw(st.sampled_from(["auto", "frame", "tight", "coarse"])),
         fidelity=draw(st.sampled_from(["paper", "release"])),
         skip=draw(st.booleans()),
         denoise=False,

@@ -12,6 +12,7 @@ from spotlight_runtime.diffusion.blending import (
     downsample_antialiased,
     downsample_bilinear,
     latent_shadow_mask,
+    weight_of_steps,
 )
 
 UNIT = st.floats(0.0, 1.0, width=32)
@@ -177,6 +178,21 @@ def test_noise_at_both_ends(rng):
     clean, noise = rng.standard_normal((2, 4), dtype=np.float32)
     np.testing.assert_array_equal(add_noise(clean, noise, 1.0), clean)
     np.testing.assert_array_equal(add_noise(clean, noise, 0.0), noise)
+
+
+@pytest.mark.parametrize("beta", [0.0, 1e-6, 0.05, 0.5, 1.0])
+@pytest.mark.parametrize("steps", [2, 3, 6, 20, 50, 1000])
+def test_any_number_of_steps_puts_in_as_much_shadow(beta, steps):
+    weight = weight_of_steps(beta, 20, steps)
+    assert 0.0 <= weight <= 1.0
+    left = (1.0 - weight) ** (steps - 1)
+    assert left == pytest.approx((1.0 - beta) ** 19, abs=1e-12)
+    assert weight_of_steps(beta, 20, 20) == beta
+
+
+@pytest.mark.parametrize(("usual", "steps"), [(1, 1), (1, 9), (20, 1)])
+def test_without_a_blend_there_is_nothing_to_keep(usual, steps):
+    assert weight_of_steps(0.3, usual, steps) == 0.3
 
 
 @given(st.floats(0.0, 1.0), st.sampled_from([0.0, 1.0, 2.0]))

@@ -208,3 +208,13 @@ def test_the_view_has_no_camera_of_its_own(large):
 def test_shrinking_keeps_the_mean():
     shadow = make_shadow(make_scene(90, 150))
     assert shrink(shadow, (30, 50)).mean() == pytest.approx(shadow.mean(), rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [(32, 32), (64, 96), (300, 200)])
+def test_a_coarse_window_is_a_tight_one_at_half_the_scale(size):
+    mask = blank(*size)
+    mask[size[0] // 2 : size[0] // 2 + 12, 5:20] = 1.0
+    tight, coarse = chosen(mask, mode="tight"), chosen(mask, mode="coarse")
+    assert (coarse.top, coarse.left) == (tight.top, tight.left)
+    assert (coarse.height, coarse.width) == (tight.height, tight.width)
+    assert coarse.size[0] * coarse.size[1] <= 1.3 * (SIZE // 2) ** 2

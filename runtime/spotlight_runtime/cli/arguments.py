@@ -189,10 +189,10 @@ Fidelity = Annotated[
     ),
 ]
 Window = Annotated[
-    Literal["auto", "frame", "tight"] | None,
+    Literal["auto", "frame", "tight", "coarse"] | None,
     typer.Option(
         help="Diffuse a window around object and shadow at the model's scale, the whole frame at "
-        "its own, or no more than is needed.",
+        "its own, no more than is needed, or that at half the scale.",
         show_default="auto",
         rich_help_panel=METHOD,
     ),

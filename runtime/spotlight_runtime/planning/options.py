@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypedDict, get_args
 
+from spotlight_runtime.diffusion.blending import weight_of_steps
 from spotlight_runtime.diffusion.noise import checked_seed
 from spotlight_runtime.diffusion.sampler import Fidelity
 from spotlight_runtime.diffusion.solvers import SOLVERS, SolverName
@@ -14,7 +15,7 @@ from spotlight_spec import BackboneSpec
 __all__ = ["Detail", "OptionChanges", "RelightOptions", "WindowMode"]
 
 Detail = Literal["auto", "renderer", "maps"]
-WindowMode = Literal["auto", "frame", "tight"]
+WindowMode = Literal["auto", "frame", "tight", "coarse"]
 
 _LIMITS: Final = {
     "gamma": 20.0,
@@ -33,7 +34,9 @@ class RelightOptions:
     gamma : float
         Guidance scale γ, 0 to 20: how strongly the shadow steers the object's shading; 1 is off.
     beta : float
-        Shadow latent weight β in [0, 1].
+        Shadow latent weight β in [0, 1], at the backbone's own number of steps. At another number
+        each blend weighs so much more or less that all of them put in as much shadow
+        (`spotlight_runtime.diffusion.blending.weight_of_steps`), but not in the release's fidelity.
     seed : int
         Of all randomness, 0 to 2⁶³ − 1. The same seed gives the same bytes on the same machine.
     steps : int or None
@@ -62,11 +65,12 @@ class RelightOptions:
         Steps between two evaluations of the whole denoiser; in those between, only what runs at
         latent size is evaluated, on the deep features of the last whole one (Ma et al. 2024). 1 is
         off, as it is with a model that brings no graph for it.
-    window : {"auto", "frame", "tight"}
+    window : {"auto", "frame", "tight", "coarse"}
         ``auto``: a photograph larger than the backbone was trained at is diffused in a window
         around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
         all of it at its own scale, whatever time and memory that takes. ``tight``: no more than
-        object, shadows and a margin, of a small photograph too.
+        object, shadows and a margin, of a small photograph too. ``coarse``: the same at half of the
+        backbone's scale, for one that has learned to see at it, as the mini has.
     detail : {"auto", "renderer", "maps"}
         Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
         ``maps``: the predicted shading on the object's own albedo and normals, sharper than any
@@ -147,6 +151,12 @@ class RelightOptions:
             If the backbone was trained on fewer.
         """
         return _checked_steps("steps", self.steps, spec.schedule.steps, spec)
+
+    def weight_of_steps(self, steps: int, usual: int) -> float:
+        """What β weighs in each of so many steps, where ``usual`` are the backbone's own."""
+        if self.fidelity == "release":
+            return self.beta
+        return weight_of_steps(self.beta, usual, steps)
 
     def for_backbone(self, spec: BackboneSpec) -> RelightOptions:
         """The same with this backbone's numbers of steps where none are given.

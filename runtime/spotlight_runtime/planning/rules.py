@@ -10,7 +10,7 @@ The exact rules leave out what could not change the picture:
   without shadow; and this is run once for all lights, and once a scene and seed.
 
 The others trade accuracy for time, and are the options' to ask for: fewer steps, guidance in some
-of them, fewer steps without shadow, deep features of an earlier step, a tight window.
+of them, fewer steps without shadow, deep features of an earlier step, a tight window or a coarse.
 """
 
 from __future__ import annotations
@@ -112,11 +112,11 @@ def make_plan(
     effects = (
         _relight_effect(facts, passes, options),
         _guidance_effect(facts, passes, options),
-        _blending_effect(passes, options),
+        _blending_effect(facts, passes, options),
         _plain_effect(facts, plain, options),
         _reuse_effect(facts, passes, plain, options),
         Effect("soft shadows", *_switch(facts.softness), seconds=facts.prepared_seconds),
-        Effect("window", not facts.native, facts.window, exact=options.window != "tight"),
+        Effect("window", not facts.native, facts.window, exact=options.window in ("auto", "frame")),
         Effect("denoiser", *_switch(facts.denoised)),
         Effect("composite", True, "puts light and shadow into the photograph"),
     )
@@ -190,10 +190,15 @@ def _guidance_effect(
     return Effect("guidance", False, reason)
 
 
-def _blending_effect(passes: tuple[GuidedPass, ...], options: RelightOptions) -> Effect:
+def _blending_effect(
+    facts: Facts, passes: tuple[GuidedPass, ...], options: RelightOptions
+) -> Effect:
     encodes = sum(sum(p.encoded) for p in passes)
     if encodes:
-        return Effect("shadow blending", True, f"β = {options.beta:g}; {encodes} encoded")
+        assert options.steps is not None
+        weight = options.weight_of_steps(options.steps, facts.own_steps)
+        each = "" if weight == options.beta else f", {weight:.2g} a step of so few"
+        return Effect("shadow blending", True, f"β = {options.beta:g}{each}; {encodes} encoded")
     if options.beta == 0.0:
         return Effect("shadow blending", False, "β = 0 adds nothing")
     if options.steps == 1:

@@ -57,12 +57,13 @@ def guided_pass(
         batch_branches=options.batch_branches,
         reuse=1 if planned is None else planned.reuse,
     )
+    steps = options.steps_for(spec)
     return shadow_guided(
         predict,
         inputs,
-        make_solver(options.solver, Schedule.trailing(spec.schedule, options.steps_for(spec))),
+        make_solver(options.solver, Schedule.trailing(spec.schedule, steps)),
         gamma=options.gamma,
-        beta=options.beta,
+        beta=options.weight_of_steps(steps, spec.schedule.steps),
         guidance_rescale=options.guidance_rescale,
         fidelity=options.fidelity,
         branches=None if planned is None else planned.branches_at,

@@ -91,9 +91,9 @@ def choose_window(
     object_mask : ndarray of float32, shape (H, W)
     shadows : sequence of ndarray of float32, shape (H, W)
         All guiding shadows, positive and negative, that this window is to serve.
-    mode : {"auto", "frame", "tight"}
+    mode : {"auto", "frame", "tight", "coarse"}
         ``frame``: the whole photograph at its own scale, whatever that costs. ``tight``: no more
-        than is needed, of a small photograph too.
+        than is needed, of a small photograph too. ``coarse``: the same, at half of ``size``.
 
     Returns
     -------
@@ -105,7 +105,9 @@ def choose_window(
     """
     height, width = object_mask.shape
     frame = (height, width)
-    tight = mode == "tight"
+    tight = mode in ("tight", "coarse")
+    if mode == "coarse":
+        size //= 2
     if mode == "frame" or (height * width <= size * size and not tight):
         return Window.whole(frame)
     inserted = _box(object_mask > 0.0)

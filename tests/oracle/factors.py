@@ -26,6 +26,8 @@ DECODED_BLUR = 0.45
 THINNEST = 0.25
 BARELY_COVERED = 1e-4
 DARK = 0.1
+SLOPE_RIDGE = 0.1
+"""Of the albedo's mean square."""
 
 
 def spread(plane: Tensor, sigma: float) -> Tensor:
@@ -164,7 +166,8 @@ def object_light(
         )
         energy = float((counted * colour**2).sum())
         shading = float((counted * colour * light).sum()) / energy if energy > 0.0 else 1.0
-        ridge, usual = [1e-2, 1e-2, 1e-2, 0.0, 0.3], [0.0, 0.0, 0.0, shading, 0.0]
+        slope = SLOPE_RIDGE * energy / max(float(counted.sum()), BARELY_COVERED)
+        ridge, usual = [slope, slope, slope, 0.0, 0.3], [0.0, 0.0, 0.0, shading, 0.0]
         if reach > 0.0:
             fits.append(smooth_fit(light, counted, basis, ridge, usual, reach))
             continue

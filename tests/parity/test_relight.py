@@ -50,6 +50,9 @@ def predictions(
         for shadow, z in zip(shadows, drawn.composite_latents)
     )
     initial = torch.from_numpy(drawn.initial_noise[0]).double()
+    # As much shadow in these steps as in the backbone's own; the release does not ask how many.
+    every = (spec.schedule.steps - 1) / (STEPS - 1)
+    beta = 0.05 if fidelity == "release" else 1.0 - 0.95**every
     blends = list(torch.from_numpy(drawn.step_noise).double())
     history = spotlight(
         backbone.predict,
@@ -60,7 +63,7 @@ def predictions(
         TIMESTEPS,
         ALPHA_BAR,
         ALPHA_BAR[0],
-        Knobs(fidelity=fidelity),
+        Knobs(beta=beta, fidelity=fidelity),
     )
     unshadowed = conditioning_of(spec, scene, torch.zeros_like(tensor(scene.object_mask)))
     plain = renderer_alone(

@@ -13,7 +13,8 @@ from support.models import (
     write_box,
 )
 
-from spotlight_runtime.composing.product import smooth_normals, weld
+from spotlight_runtime.composing.materials import Material
+from spotlight_runtime.composing.product import Piece, assemble, smooth_normals, weld
 from spotlight_runtime.errors import (
     InvalidInputError,
     ProductError,
@@ -85,6 +86,15 @@ def test_scene_graph_moves_turns_scales_and_nests(tmp_path):
     np.testing.assert_allclose(product.vertices[product.faces[0]], turned, atol=1e-6)
     raised = np.eye(3) * [1, 3, 1] + [0, 5, 0]
     np.testing.assert_allclose(product.vertices[product.faces[1]], raised, atol=1e-6)
+
+
+@pytest.mark.parametrize("useless", [0.0, 1e-30, np.inf, np.nan])
+def test_normals_that_say_no_direction_are_made_anew(useless):
+    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    normals = np.float32([[0, 0, 1], [0, 0, 1], [0, 0, useless]])
+    piece = Piece(corners, np.int32([[0, 1, 2]]), Material(), normals)
+    product = assemble([piece], "triangle")
+    np.testing.assert_array_equal(product.normals, np.tile(np.float32([0, 0, 1]), (3, 1)))
 
 
 def test_normals_survive_uneven_scale(tmp_path):

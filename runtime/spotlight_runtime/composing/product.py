@@ -204,6 +204,11 @@ def weld(vertices: FloatArray) -> npt.NDArray[np.int64]:
     return np.unique(mixed, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
+def _usable(lengths: FloatArray) -> bool:
+    """Whether all normals of these lengths say a direction."""
+    return bool((np.isfinite(lengths) & (lengths > SMALLEST_NORMAL)).all())
+
+
 def _complete(piece: Piece, name: str) -> Piece:
     """Check one piece and give it what it lacks."""
     faces = piece.faces
@@ -226,10 +231,9 @@ def _complete(piece: Piece, name: str) -> Piece:
     colours = None if piece.colours is None else np.clip(np.nan_to_num(piece.colours), 0.0, 1.0)
     normals = piece.normals
     lengths = None if normals is None else np.linalg.norm(normals.astype(np.float64), axis=1)
-    if normals is not None and lengths is not None and (lengths > SMALLEST_NORMAL).all():
+    if normals is not None and lengths is not None and _usable(lengths):
         unit = (normals / lengths[:, None]).astype(np.float32)
-        if np.isfinite(unit).all():
-            return Piece(piece.vertices, faces, piece.material, unit, uv, colours)
+        return Piece(piece.vertices, faces, piece.material, unit, uv, colours)
     # Without usable normals each corner becomes a vertex of its own.
     spread = faces.reshape(-1)
     return Piece(

@@ -12,6 +12,7 @@ import os
 import shutil
 import signal
 import sys
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,16 +40,11 @@ def killed_everywhere(name: str, root: Path) -> int:
     for step in range(1, MOST_STEPS):
         folder = root / f"{name}-{step}"
         folder.mkdir()
-        prepare(folder)
-        child = os.fork()
-        if child == 0:
-            _kill_at(step)
-            work(folder)
-            os._exit(0)
-        _, status = os.waitpid(child, 0)
-        check(folder)
-        work(folder)  # the next run is not in the way of what the killed one left
-        check(folder)
+        _whole(prepare, folder)
+        status = _forked(_kill_at, step, work, folder)
+        _whole(check, folder)
+        _whole(work, folder)  # the next run is not in the way of what the killed one left
+        _whole(check, folder)
         shutil.rmtree(folder)
         if os.WIFEXITED(status):
             assert os.WEXITSTATUS(status) == 0
@@ -57,7 +53,29 @@ def killed_everywhere(name: str, root: Path) -> int:
     raise AssertionError(f"{name} takes more than {MOST_STEPS} steps")
 
 
-def _kill_at(step: int) -> None:
+def _forked(action: Callable[..., object], *given: object) -> int:
+    """Do something in a process of its own; its status.
+
+    Never in this one, which would fork with threads that are just ending: one of OpenCV's holds a
+    lock then, and in the copy nobody lets go of it.
+    """
+    child = os.fork()
+    if child == 0:
+        try:
+            action(*given)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    return os.waitpid(child, 0)[1]
+
+
+def _whole(action: Callable[[Folder], object], folder: Folder) -> None:
+    status = _forked(action, folder)
+    assert os.waitstatus_to_exitcode(status) == 0, folder
+
+
+def _kill_at(step: int, work: Callable[[Folder], object], folder: Folder) -> None:
     left = [step]
 
     def count(event: str, arguments: object) -> None:
@@ -67,6 +85,7 @@ def _kill_at(step: int) -> None:
                 os.kill(os.getpid(), signal.SIGKILL)
 
     sys.addaudithook(count)
+    work(folder)
 
 
 OLD, NEW = np.full((8, 12, 3), 0.25, np.float32), np.full((8, 12, 3), 0.75, np.float32)

@@ -197,7 +197,7 @@ def _blending_effect(
     if encodes:
         assert options.steps is not None
         weight = options.weight_of_steps(options.steps, facts.own_steps)
-        each = "" if weight == options.beta else f", {weight:.2g} a step of so few"
+        each = "" if weight == options.beta else f", {weight:.2g} a step"
         return Effect("shadow blending", True, f"β = {options.beta:g}{each}; {encodes} encoded")
     if options.beta == 0.0:
         return Effect("shadow blending", False, "β = 0 adds nothing")

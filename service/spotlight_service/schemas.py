@@ -6,6 +6,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from spotlight_runtime.planning.options import WindowMode
 from spotlight_service.plans import PlanName
 
 __all__ = ["MOST_LIGHTS", "PLANNED", "DrawnLight", "PlacedLight", "RelightRequest", "ShadowRequest"]
@@ -140,7 +141,7 @@ class RelightRequest(_Strict):
     steps: int | None = Field(None, ge=1, le=1000)
     solver: Literal["ddim", "dpmpp_2m", "unipc"] = "ddim"
     fidelity: Literal["paper", "release"] = "paper"
-    window: Literal["auto", "frame", "tight", "coarse"] = "auto"
+    window: WindowMode = "auto"
     detail: Literal["auto", "renderer", "maps"] = "auto"
 
     def options(self) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def test_waiting_gives_the_picture_itself(client, scene):
 
 
 def test_who_does_not_want_to_wait_that_long_gets_the_job(server, scene):
-    body = {"scene": scene.id, "lights": [LIGHT] * 4, "model": "tiny", "steps": 1000}
+    body = {"scene": scene.id, "lights": [LIGHT] * 16, "model": "tiny", "steps": 1000}
     headers = {"Prefer": "respond-async, wait=1"}
     answer = httpx.post(f"{server.address}/v1/relight", json=body, headers=headers, timeout=30)
     assert answer.status_code == 202

@@ -9,6 +9,7 @@ import typer
 
 from spotlight_runtime.networks import models
 from spotlight_runtime.planning.ladder import PlanName
+from spotlight_runtime.planning.options import WindowMode
 from spotlight_runtime.relighting.tasks import Wishes
 
 __all__ = [
@@ -189,7 +190,7 @@ Fidelity = Annotated[
     ),
 ]
 Window = Annotated[
-    Literal["auto", "frame", "tight", "coarse"] | None,
+    WindowMode | None,
     typer.Option(
         help="Diffuse a window around object and shadow at the model's scale, the whole frame at "
         "its own, no more than is needed, or that at half the scale.",

@@ -128,7 +128,7 @@ def test_pace_follows_the_machine(factor):
     now = pace.of(SLOW)
     assert now.evaluation.fixed == pytest.approx(factor, rel=0.01)
     assert now.decode.fixed == pytest.approx(2.0 * factor * SLOW.decode.fixed, rel=0.01)
-    assert Line(0.5, 2.0).slowed(3.0) == Line(1.5, 6.0)
+    assert Line(0.5, 2.0, 1.0).slowed(3.0) == Line(1.5, 6.0, 3.0)
 
 
 def test_evaluations_and_the_rest_have_paces_of_their_own():
@@ -190,9 +190,10 @@ def test_costs_that_are_none_are_measured_again(tmp_path):
     write_costs(tmp_path / "costs.json/below", SLOW)  # no folder can be there: not an error
 
 
-def test_lines_rise_from_nothing():
+def test_lines_rise_and_have_a_least():
     assert Line.through([1.0, 2.0], [3.0, 5.0]).at(3.0) == pytest.approx(7.0)
-    assert Line.through([1.0, 2.0], [1.0, 3.0]).at(0.0) == 0.0
+    bent = Line.through([1.0, 2.0], [1.0, 3.0])  # what is small costs less than its share
+    assert [bent.at(size) for size in (0.0, 1.0, 2.0)] == pytest.approx([1.0, 1.0, 3.0])
     assert Line.through([1.0, 2.0], [3.0, 1.0]) == Line(2.0, 0.0)
     assert Line.through([2.0, 2.0], [3.0, 4.0]).at(4.0) == pytest.approx(8.0)
 

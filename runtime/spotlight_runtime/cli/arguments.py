@@ -147,7 +147,7 @@ Budget = Annotated[
     float | None,
     typer.Option(
         help="Seconds it may take here: the most accurate plan that fits. Measures this machine "
-        "the first time, for about a second.",
+        "the first time, for about two seconds.",
         rich_help_panel=METHOD,
     ),
 ]

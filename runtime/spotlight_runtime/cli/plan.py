@@ -50,7 +50,7 @@ def plan(
 ) -> None:
     """Say what a relight would run, what it would leave out and why, and how long it would take.
 
-    Nothing is relit. The first time, the model is measured on this machine for about a second.
+    Nothing is relit. The first time, the model is measured on this machine for about two seconds.
 
         spotlight plan chair/ --azimuth 135 --elevation 45
 

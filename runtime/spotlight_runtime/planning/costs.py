@@ -22,7 +22,7 @@ from spotlight_spec import write_json
 
 __all__ = ["Costs", "Line", "Pace", "Seconds", "cache_path", "read_costs", "write_costs"]
 
-VERSION: Final = 5
+VERSION: Final = 6
 """Of the cache file; files of another version are measured anew."""
 TRUST: Final = 0.2
 """Share of a relight's surprise that the next prediction takes on: a single one may be chance."""
@@ -34,38 +34,39 @@ SURPRISE: Final = math.log(2.0)
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """Seconds as a straight line of a size, never below 0.
+    """Seconds as a straight line of a size, never below the least measured.
 
     Attributes
     ----------
     fixed : float
-        Seconds whatever the size.
+        Seconds the line starts from; below 0 where what is small runs from the caches.
     each : float
         Seconds for each unit of the size.
+    least : float
+        Seconds of whatever is smaller than what was measured.
     """
 
     fixed: float
     each: float
+    least: float = 0.0
 
     @classmethod
     def through(cls, sizes: list[float], seconds: list[float]) -> Self:
-        """The line through two or more measurements (least squares), rising and from 0 up."""
+        """The line through two or more measurements (least squares), rising."""
         if len(set(sizes)) == 1:
             return cls(0.0, max(seconds) / sizes[0])
         each, fixed = (float(c) for c in np.polyfit(sizes, seconds, 1))
         if each <= 0.0:
             return cls(float(np.mean(seconds)), 0.0)
-        if fixed < 0.0:
-            return cls(0.0, float(np.dot(sizes, seconds) / np.dot(sizes, sizes)))
-        return cls(fixed, each)
+        return cls(fixed, each, max(0.0, fixed + each * min(sizes)))
 
     def at(self, size: float) -> float:
         """Seconds at a size."""
-        return self.fixed + self.each * size
+        return max(self.least, self.fixed + self.each * size)
 
     def slowed(self, factor: float) -> Line:
         """The line where everything takes so many times as long."""
-        return Line(self.fixed * factor, self.each * factor)
+        return Line(self.fixed * factor, self.each * factor, self.least * factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +117,11 @@ class Costs:
         """
         lines = {name: Line(**record[name]) for name in cls.__dataclass_fields__}
         for name, line in lines.items():
-            for value in (line.fixed, line.each):
-                if not (isinstance(value, float) and math.isfinite(value) and value >= 0.0):
+            for value in (line.fixed, line.each, line.least):
+                if not (isinstance(value, float) and math.isfinite(value)):
                     raise ValueError(f"{name}: expected seconds, got {value!r}")
+            if min(line.each, line.least) < 0.0:
+                raise ValueError(f"{name}: expected seconds that rise from 0 up, got {line}")
         return cls(**lines)
 
 

@@ -60,18 +60,18 @@ class Facts:
         Whether the whole photograph is diffused, at its own scale.
     window : str
         What is diffused, in words.
-    remembered : bool
-        Whether the picture without shadow is known from before.
     softness : str
         ``on …`` or ``off: why``: whether soft shadows were cast.
     denoised : str
         ``on``, or why not.
-    prepared_seconds : float
-        How long casting shadows and choosing the window took.
     own_steps : int
         The backbone's usual number of steps.
     reusable : bool
         Whether the model has a graph that predicts from an earlier step's deep features.
+    remembered : bool
+        Whether the picture without shadow is known from before.
+    prepared_seconds : float
+        How long casting shadows and choosing the window took.
     """
 
     lights: tuple[LightFacts, ...]
@@ -80,12 +80,12 @@ class Facts:
     pixels: int
     native: bool
     window: str
-    remembered: bool
     softness: str
     denoised: str
-    prepared_seconds: float
     own_steps: int
     reusable: bool = False
+    remembered: bool = False
+    prepared_seconds: float = 0.0
 
 
 def make_plan(

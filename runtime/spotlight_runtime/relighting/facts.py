@@ -19,11 +19,9 @@ def scene_facts(
     *,
     soft: str,
     denoised: str,
-    remembered: bool,
-    seconds: float,
     reusable: bool,
 ) -> Facts:
-    """Facts of a prepared relight.
+    """Facts of a prepared relight whose picture without shadow is not known.
 
     Parameters
     ----------
@@ -33,10 +31,6 @@ def scene_facts(
         As `softness` says it.
     denoised : str
         ``on``, or why not.
-    remembered : bool
-        Whether the picture without shadow is known.
-    seconds : float
-        How long preparing took.
     reusable : bool
         Whether the model predicts from an earlier step's deep features, too.
 
@@ -52,10 +46,8 @@ def scene_facts(
         pixels=window.frame[0] * window.frame[1],
         native=window.native,
         window=_said(prepared),
-        remembered=remembered,
         softness=soft,
         denoised=denoised,
-        prepared_seconds=seconds,
         own_steps=spec.schedule.steps,
         reusable=reusable,
     )

@@ -263,7 +263,7 @@ class Relighter:
         return self.prepare(scene, light, negative, options, **changes).plan
 
     def calibrated(self, *, again: bool = False) -> Costs:
-        """What the stages cost on this machine, measured in about a second where it is not known.
+        """What the stages cost on this machine; measured in two seconds where it is not known.
 
         Parameters
         ----------

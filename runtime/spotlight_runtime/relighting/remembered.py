@@ -13,7 +13,7 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.scenes.scene import MAP_NAMES, Scene
 
-__all__ = ["CAPACITY", "Remembered", "plain_key"]
+__all__ = ["CAPACITY", "Remembered", "plain_key", "view_digest"]
 
 CAPACITY: Final = 64 * 2**20
 """Bytes: eighty pictures of 256 pixels, twenty of 512."""
@@ -59,27 +59,26 @@ class Remembered:
                 held -= gone.nbytes
 
 
-def plain_key(view: Scene, options: RelightOptions, denoised: str) -> str:
-    """Name of all that the picture without shadow depends on: view, noise, steps, denoiser.
-
-    Parameters
-    ----------
-    view : Scene
-        What is diffused.
-    options : RelightOptions
-        With numbers of steps.
-    denoised : str
-
-    Returns
-    -------
-    str
-        A digest; equal views have equal ones.
-    """
-    digest = hashlib.blake2b(digest_size=20)
-    said = (options.seed, options.solver, options.plain_steps, options.reuse, denoised, view.size)
-    digest.update(repr(said).encode())
+def view_digest(view: Scene) -> str:
+    """Digest of all the picture without shadow shows; equal views have equal ones."""
+    digest = hashlib.blake2b(repr(view.size).encode(), digest_size=20)
     both = (view.background_maps, view.object_maps)
     maps = [getattr(maps, name) for maps in both for name in MAP_NAMES]
     for array in (view.background, view.object_mask, view.footprint_depth, *maps):
         digest.update(b"-" if array is None else np.ascontiguousarray(array).data)
     return digest.hexdigest()
+
+
+def plain_key(view: str, options: RelightOptions, denoised: str) -> str:
+    """Name of all that the picture without shadow depends on: view, noise, steps, denoiser.
+
+    Parameters
+    ----------
+    view : str
+        Digest of what is diffused.
+    options : RelightOptions
+        With numbers of steps.
+    denoised : str
+    """
+    said = (view, options.seed, options.solver, options.plain_steps, options.reuse, denoised)
+    return repr(said)

@@ -15,12 +15,12 @@ from spotlight_runtime.planning.costs import Costs
 from spotlight_runtime.planning.ladder import PlanName, named_rung, read_ladder
 from spotlight_runtime.planning.options import OptionChanges, RelightOptions, WindowMode
 from spotlight_runtime.planning.plan import Plan
-from spotlight_runtime.planning.rules import make_plan
+from spotlight_runtime.planning.rules import Facts, make_plan
 from spotlight_runtime.relighting.facts import scene_facts, softness
 from spotlight_runtime.relighting.guides import Guide, Negative, guiding_shadows
 from spotlight_runtime.relighting.passes import denoising
 from spotlight_runtime.relighting.preparation import Prepared, prepare_window
-from spotlight_runtime.relighting.remembered import Remembered, plain_key
+from spotlight_runtime.relighting.remembered import Remembered, plain_key, view_digest
 from spotlight_runtime.relighting.result import PassName, Progress, Stopwatch
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
@@ -158,32 +158,27 @@ def prepare_task(
     choices, budget = _choices(options, wishes, reusable)
     known = costs(budget is not None)  # measured, if it must be, before the clock starts
     stopwatch = Stopwatch()
-    denoising(spec, choices[0][1])  # an error about it now, not after shadows were cast
+    denoised = denoising(spec, choices[0][1])  # an error about it now, not after shadows were cast
     with stopwatch.stage("prepare"):
         guides = guiding_shadows(scene, light, negative)
 
     @cache
-    def prepared_in(mode: WindowMode) -> Prepared:
-        with stopwatch.stage("prepare"):
-            return prepare_window(spec, scene, guides, mode)
+    def seen_in(mode: WindowMode) -> tuple[Prepared, Facts, str]:
+        prepared = prepare_window(spec, scene, guides, mode)
+        facts = scene_facts(
+            spec, prepared, soft=softness(light), denoised=denoised, reusable=reusable
+        )
+        return prepared, facts, view_digest(prepared.view)
 
     quickest = math.inf
     for name, choice in choices:
-        chosen = choice.for_backbone(spec)
-        prepared = prepared_in(chosen.window)
         with stopwatch.stage("prepare"):
-            denoised = denoising(spec, chosen)
-            key = plain_key(prepared.view, chosen, denoised)
+            chosen = choice.for_backbone(spec)
+            prepared, facts, view = seen_in(chosen.window)
+            key = plain_key(view, chosen, denoised)
             no_shadow = remembered.get(key) if chosen.skip else None
-        facts = scene_facts(
-            spec,
-            prepared,
-            soft=softness(light),
-            denoised=denoised,
-            remembered=no_shadow is not None,
-            seconds=stopwatch.seconds["prepare"],
-            reusable=reusable,
-        )
+        took = stopwatch.seconds["prepare"]
+        facts = replace(facts, remembered=no_shadow is not None, prepared_seconds=took)
         plan = make_plan(facts, chosen, known, name)
         if budget is None or (plan.seconds is not None and plan.seconds <= budget):
             return Task(prepared, chosen, plan, denoised, stopwatch, key, no_shadow)

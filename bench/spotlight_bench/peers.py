@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,6 +42,8 @@ class Peer:
     precision : str
     plans : tuple of str
         What it relights by: ``release``, and of ours also named plans.
+    low_memory : bool
+        Hold only the session at work; of ours alone.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Peer:
     source: Path
     precision: str = "fp32"
     plans: tuple[str, ...] = (RELEASE,)
+    low_memory: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,8 @@ class _Wish:
     threads: int
     evaluations: int
     relights: list[str]
-    output: str = field(default="")
+    output: str
+    low_memory: bool
 
 
 def among(peers: Sequence[Peer], wanted: Sequence[str]) -> tuple[Peer, ...]:
@@ -192,7 +196,7 @@ def measure(
             wish = _Wish(
                 peer.engine, str(peer.source), peer.precision, str(spec), side, threads,
                 evaluations, list(peer.plans) if number < relights else [],
-                str(output / peer.name),
+                str(output / peer.name), peer.low_memory,
             )  # fmt: skip
             yield Measured(number, peer.name, **_worked(peer, wish, output))
 

@@ -123,6 +123,11 @@ def torch_peers(
         Peer(f"ours-{p}", f"SpotLight {p}", "spotlight", folder, p, OURS)
         for p, folder in ours.items()
     ]
+    if "int8" in ours:  # for where memory counts
+        label, plans = "SpotLight int8, low memory", ("balanced",)
+        peers.append(
+            Peer("ours-int8-low", label, "spotlight", ours["int8"], "int8", plans, low_memory=True)
+        )
     return tuple(peers), ours[precisions[0]]
 
 

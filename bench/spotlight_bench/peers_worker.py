@@ -18,6 +18,7 @@ import numpy as np
 from spotlight_bench.peers_engines import open_engine
 from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, RelightResult, Scene
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.networks.models import LazyNetworks
 from spotlight_runtime.relighting.calibration import made_up_scene
 from spotlight_runtime.relighting.result import peak_memory_bytes
 from spotlight_spec import BackboneSpec, Manifest
@@ -37,7 +38,8 @@ def main(wish: dict[str, Any]) -> dict[str, Any]:
     wish : dict
         ``engine source precision threads`` as `open_engine` takes them; ``spec``, a model folder
         whose backbone it is; ``side`` of the picture; ``evaluations`` to time; ``relights``, plans
-        to run whole; ``output``, a folder for what came out.
+        to run whole; ``output``, a folder for what came out; ``low_memory``, to hold only the
+        session at work.
 
     Returns
     -------
@@ -59,10 +61,12 @@ def main(wish: dict[str, Any]) -> dict[str, Any]:
         "relight_seconds": {},
         "relight_evaluations": {},
     }
+    if wish["low_memory"] and isinstance(networks, LazyNetworks):
+        networks.release(*networks)
     for plan in wish["relights"]:
         took, result = relight(
             networks, spec, wish["side"], plan, ours=wish["engine"] == "spotlight",
-            batched=wish["engine"] == "torch",
+            batched=wish["engine"] == "torch", low_memory=wish["low_memory"],
         )  # fmt: skip
         answer["relight_seconds"][plan] = took
         answer["relight_evaluations"][plan] = result.evaluations
@@ -108,6 +112,7 @@ def relight(
     *,
     ours: bool,
     batched: bool,
+    low_memory: bool = False,
 ) -> tuple[float, RelightResult]:
     """A whole relight: ``release`` is the public release's loop, others are our named plans.
 
@@ -122,6 +127,8 @@ def relight(
         Leave out what the scene does not call for; the release never does.
     batched : bool
         Both branches in one call, as the release has it.
+    low_memory : bool
+        Hold only the session at work.
 
     Returns
     -------
@@ -129,7 +136,7 @@ def relight(
     result : RelightResult
     """
     scene, guide = scene_of(side)
-    relighter = Relighter(spec, networks, remember=0)
+    relighter = Relighter(spec, networks, remember=0, low_memory=low_memory)
     options = RelightOptions(denoise=False, batch_branches=batched)
     start = time.perf_counter()
     if plan == "release":

@@ -61,7 +61,7 @@ class Remembered:
 
 def view_digest(view: Scene) -> str:
     """Digest of all the picture without shadow shows; equal views have equal ones."""
-    digest = hashlib.blake2b(repr(view.size).encode(), digest_size=20)
+    digest = hashlib.sha256(repr(view.size).encode())
     both = (view.background_maps, view.object_maps)
     maps = [getattr(maps, name) for maps in both for name in MAP_NAMES]
     for array in (view.background, view.object_mask, view.footprint_depth, *maps):

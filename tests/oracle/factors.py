@@ -26,7 +26,7 @@ DECODED_BLUR = 0.45
 THINNEST = 0.25
 BARELY_COVERED = 1e-4
 DARK = 0.1
-SLOPE_RIDGE = 0.1
+SLOPE_RIDGE = 0.03
 """Of the albedo's mean square."""
 
 

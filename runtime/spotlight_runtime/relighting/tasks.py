@@ -158,7 +158,8 @@ def prepare_task(
     choices, budget = _choices(options, wishes, reusable)
     known = costs(budget is not None)  # measured, if it must be, before the clock starts
     stopwatch = Stopwatch()
-    denoised = denoising(spec, choices[0][1])  # an error about it now, not after shadows were cast
+    # No rung of a ladder has it otherwise; an error about it now, not after shadows were cast.
+    denoised = denoising(spec, choices[0][1])
     with stopwatch.stage("prepare"):
         guides = guiding_shadows(scene, light, negative)
 

@@ -175,17 +175,49 @@ def shown(page, folder, selector):
     return read_image(folder / "shown.png")[..., :3]
 
 
+def lengthened(route):
+    """Ask for more steps than anybody waits for, so that there is something left to cancel."""
+    asked = json.loads(route.request.post_data)
+    del asked["plan"]
+    route.continue_(post_data=json.dumps({**asked, "steps": 1000}))
+
+
 def test_cancel(visit, client):
     page = visit()
+    page.route("**/v1/relight", lengthened)
     take_sample(page)
-    page.get_by_text("Exact", exact=True).click()
     page.get_by_role("button", name="Relight").click()
     page.locator("#forming").wait_for()
-    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Cancel", exact=True).click()
     page.locator("#run").wait_for(state="hidden")
     page.locator("#history li").first.get_by_text("Cancelled").wait_for()
     assert client.jobs()[0].facts["state"] == "cancelled"
     assert page.get_by_role("button", name="Relight").is_enabled()
+
+
+def test_an_answer_that_its_event_overtook_changes_nothing(visit):
+    page = visit()
+    page.route("**/v1/relight", lengthened)
+    held = []
+
+    def late(route):
+        if route.request.method == "DELETE":
+            held.append((route, route.fetch()))  # "running, being cancelled", as it was then
+        else:
+            route.continue_()
+
+    page.route("**/v1/jobs/*", late)
+    take_sample(page)
+    page.get_by_role("button", name="Relight").click()
+    page.locator("#forming").wait_for()
+    page.get_by_role("button", name="Cancel", exact=True).click()
+    page.locator("#run").wait_for(state="hidden")  # the event has come
+    [(route, answer)] = held
+    assert answer.json()["state"] == "running"
+    with page.expect_response(lambda other: other.request.method == "DELETE"):
+        route.fulfill(response=answer)
+    page.evaluate("new Promise((resolve) => setTimeout(resolve, 100))")
+    assert "Cancelled" in page.locator("#history li").first.inner_text()
 
 
 def test_several_lights_of_a_scene(visit, client):

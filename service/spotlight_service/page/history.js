@@ -8,6 +8,7 @@ import { NOTHING, byId, display, element, seconds, tell } from "./ui.js";
 const SHOWN = 40;
 const THUMB = 176; // pixels of the longer side
 const WORDS = { queued: "Waiting", running: "Being made", failed: "Failed", cancelled: "Cancelled" };
+const ENDS = ["done", "failed", "cancelled"];
 
 export class History {
   /** @param {(job) => void} opened */
@@ -29,9 +30,10 @@ export class History {
     }
   }
 
-  /** Take note of a job, or of how it stands now. */
+  /** Take note of a job, or of how it stands now; an answer that an event overtook revives nothing. */
   put(job) {
     const before = this.jobs.get(job.id);
+    if (ENDS.includes(before?.state) && !ENDS.includes(job.state)) return;
     this.jobs.set(job.id, job);
     let item = this.items.get(job.id);
     if (!item) {

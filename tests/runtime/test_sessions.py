@@ -240,9 +240,8 @@ def test_injected_session_needs_only_four_methods():
         def get_outputs(self):
             return [SimpleNamespace(name="product", type="tensor(float)", shape=["n", 4, "h", "w"])]
 
-        def run(self, names, inputs, options):
+        def run(self, names, inputs):
             assert names == ["product"]
-            assert options is None
             return [2.0 * inputs["x"]]
 
     graph = OnnxGraph(Doubler(), contract(inputs=[tensor("x")]))

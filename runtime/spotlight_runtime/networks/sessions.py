@@ -44,7 +44,9 @@ Network = Callable[..., dict[str, npt.NDArray[Any]]]
 
 DEFAULT_PROVIDERS: Final = ("CPUExecutionProvider",)
 EVERY_STEP: Final = ("denoiser", "denoiser_shallow", "controlnet", "unet")
-"""Graphs that run every step and keep their working memory; the others give it back."""
+"""Graphs that run every step and keep their working memory; the others give it back. A block kept
+by an arena and given back after each run is mapped anew for the next, which nearly doubled the
+time of a condition encoder; from the C library, small tensors come warm and large ones go back."""
 _CGROUP: Final = Path("/sys/fs/cgroup")
 _DTYPES: Final = {"tensor(float)": "float32", "tensor(int64)": "int64"}
 
@@ -95,8 +97,6 @@ class OnnxGraph:
         Injected; see `open_graph`.
     contract : GraphContract
         Checked against the session's own inputs and outputs.
-    run_options : onnxruntime.RunOptions, optional
-        Of every run.
 
     Raises
     ------
@@ -104,14 +104,8 @@ class OnnxGraph:
         If names, element types or dimensions differ, or a dynamic dimension is fixed.
     """
 
-    def __init__(
-        self,
-        session: ort.InferenceSession,
-        contract: GraphContract,
-        run_options: ort.RunOptions | None = None,
-    ) -> None:
+    def __init__(self, session: ort.InferenceSession, contract: GraphContract) -> None:
         self._session = session
-        self._run_options = run_options
         self._name = contract.file_name
         self._outputs = [tensor.name for tensor in contract.outputs]
         for expected, got in (
@@ -131,9 +125,7 @@ class OnnxGraph:
         """
         try:
             with _denormals_as_zero():
-                return dict(
-                    zip(self._outputs, self._session.run(self._outputs, inputs, self._run_options))
-                )
+                return dict(zip(self._outputs, self._session.run(self._outputs, inputs)))
         except Exception as error:  # ONNX Runtime's exceptions share no base class
             shapes = ", ".join(f"{k} {v.dtype}{list(v.shape)}" for k, v in inputs.items())
             raise ModelError(f"{self._name}: cannot be run on {shapes}: {error}") from error
@@ -179,6 +171,7 @@ def open_graph(
     options = ort.SessionOptions()
     options.intra_op_num_threads = usable_threads(threads)
     options.inter_op_num_threads = 1
+    options.enable_cpu_mem_arena = contract.name in EVERY_STEP
     options.log_severity_level = 4  # what fails is raised, and need not be printed as well
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     # Threads that wait for more work keep the cores from the graph that runs next.
@@ -198,11 +191,7 @@ def open_graph(
             f"{path}: asked for {providers[0]}, in use is {session.get_providers()[0]}; "
             "name the provider you want to run on"
         )
-    run_options = ort.RunOptions()
-    if contract.name not in EVERY_STEP:
-        # Gigabytes of full-resolution activations would wait through all steps for the next call.
-        run_options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
-    return OnnxGraph(session, contract, run_options)
+    return OnnxGraph(session, contract)
 
 
 # A denormal costs up to 30 times a normal number and carries nothing a picture shows. ONNX Runtime

@@ -118,10 +118,10 @@ def align_depth(
         foot = footprint_depth[contact].astype(np.float64)  # type: ignore[index]
         ground = background_depth[contact].astype(np.float64)
         spread = foot - foot.mean()
-        variance = float(spread @ spread)
+        variance = float((spread * spread).sum())
         # float32 depths that differ by rounding alone carry no slope.
         if variance > foot.size * (1e-6 * foot.mean()) ** 2:
-            slope = float(spread @ ground) / variance
+            slope = float((spread * ground).sum()) / variance
             if slope > 0.0:
                 return slope, float(ground.mean() - slope * foot.mean())
         return 1.0, float(ground.mean() - foot.mean())

@@ -74,7 +74,7 @@ _LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 def box_of(mesh: ObjectMesh, ground: Ground | None) -> ObjectBox:
     """The bounding box of the mesh along the floor's axes."""
     axes = _LEVEL if ground is None else ground.world_axes()
-    along = mesh.vertices.astype(np.float64) @ axes.T
+    along = np.einsum("vc,kc->vk", mesh.vertices.astype(np.float64), axes)
     low, high = along.min(axis=0), along.max(axis=0)
     return ObjectBox(axes, (low + high) / 2, (high - low) / 2)
 

@@ -61,7 +61,7 @@ def _near_the_box(
     seen = inverse > 0.0
     patch = receiver.patch(pixels[seen])
     axes = box.axes.astype(np.float32)
-    points = patch.points() @ axes.T - box.centre.astype(np.float32)
+    points = np.einsum("pc,kc->pk", patch.points(), axes) - box.centre.astype(np.float32)
     beyond = np.linalg.norm(points, axis=1) + np.float32(np.linalg.norm(box.half))
     towards = (axes @ light.centre).astype(np.float32)
     if light.directional:

@@ -85,7 +85,7 @@ def _landing(vertices: FloatArray, light: PlacedLight, ground: Ground) -> FloatA
     onward = -light.centre if light.directional else vertices - light.centre
     onward = np.broadcast_to(onward, vertices.shape)
     normal = np.asarray(ground.normal)
-    falling = -(onward @ normal)
-    height = np.maximum(vertices @ normal - ground.offset, 0.0)
+    falling = -np.einsum("vc,c->v", onward, normal)
+    height = np.maximum(np.einsum("vc,c->v", vertices, normal) - ground.offset, 0.0)
     down = falling > 1e-9 * np.linalg.norm(onward, axis=1)
     return vertices[down] + onward[down] * (height[down] / falling[down])[:, None]

@@ -20,7 +20,7 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 
-__all__ = ["FIT_SIGMA", "GuidedFit", "fit_guided", "magnify_rows"]
+__all__ = ["FIT_SIGMA", "GuidedFit", "cell_of", "fit_guided", "grid_of", "magnify_rows"]
 
 
 FIT_SIGMA: Final = 1.2
@@ -47,7 +47,13 @@ class GuidedFit:
     coefficients: FloatArray
 
     def rows(
-        self, guide: FloatArray, top: int, bottom: int, size: tuple[int, int], cover: FloatArray
+        self,
+        guide: FloatArray,
+        top: int,
+        bottom: int,
+        size: tuple[int, int],
+        cover: FloatArray,
+        columns: slice = slice(None),
     ) -> FloatArray:
         """Evaluate rows [top, bottom) of the large picture.
 
@@ -60,13 +66,15 @@ class GuidedFit:
             Height and width of the large picture.
         cover : ndarray of float32, shape (bottom − top, W)
             What guide and result are premultiplied by; ones if by nothing.
+        columns : slice
+            The W columns of the large picture that guide and cover are of; by default all.
 
         Returns
         -------
         ndarray of float32, shape (bottom − top, W)
             Premultiplied.
         """
-        large = magnify_rows(self.coefficients, top, bottom, size)
+        large = magnify_rows(self.coefficients, top, bottom, size)[:, columns]
         total = large[..., -1] * cover
         for channel in range(guide.shape[2]):
             total += large[..., channel] * guide[..., channel]
@@ -115,8 +123,8 @@ def fit_guided(
     basis[..., :-1] = guide
     weights = weights.astype(np.float64)
     prior = PRIOR * (float(weights.mean()) or 1.0)
-    cell = max(1.0, reach / CELLS) if smooth else 1.0
-    grid = tuple(max(1, round(side / cell)) for side in values.shape)
+    cell = cell_of(reach, smooth)
+    grid = grid_of(values.shape, cell)
 
     def gathered(array: FloatArray) -> FloatArray:
         """Cells of an array; their neighbourhoods are not mixed yet."""
@@ -149,6 +157,17 @@ def fit_guided(
         for i in range(count):
             solved[..., i] += _spread(left * leftover[..., i], LEFTOVER_SIGMA) / close
     return GuidedFit(solved.astype(np.float32))
+
+
+def cell_of(reach: float, smooth: bool) -> float:
+    """Side of a fit's cells in small pixels."""
+    return max(1.0, reach / CELLS) if smooth else 1.0
+
+
+def grid_of(size: tuple[int, ...], cell: float) -> tuple[int, int]:
+    """Rows and columns of cells for a small picture of this height and width."""
+    rows, columns = (max(1, round(side / cell)) for side in size)
+    return rows, columns
 
 
 def magnify_rows(small: FloatArray, top: int, bottom: int, size: tuple[int, int]) -> FloatArray:

@@ -75,12 +75,12 @@ def colour_balance(background: FloatArray, no_shadow: FloatArray, mask: FloatArr
     ndarray of float32, shape (3,)
         1 where the object covers everything, or the prediction outside it is black.
     """
-    outside = (1.0 - mask.astype(np.float64))[..., None]
+    outside = 1.0 - mask.astype(np.float64)
     total = float(outside.sum())
     if total < 1.0:
         return np.ones(3, dtype=np.float32)
-    wanted = (background * outside).sum(axis=(0, 1)) / total
-    present = (no_shadow * outside).sum(axis=(0, 1)) / total
+    wanted = np.einsum("hwc,hw->c", background, outside) / total
+    present = np.einsum("hwc,hw->c", no_shadow, outside) / total
     usable = present > DARKEST_MEAN
     return np.divide(wanted, present, out=np.ones(3), where=usable).astype(np.float32)
 

@@ -117,17 +117,22 @@ class WindowLayer:
             ratio = np.float32(1.0) + changed * (np.clip(ratio, 0.0, 1.0) - np.float32(1.0))
             encoded = encode_linear(background, self.spec.image_encoding) * ratio[..., None]
             background = decode_to_linear(encoded, self.spec.image_encoding)
-        if mask.any():
-            background *= (np.float32(1.0) - mask)[..., None]
-            background += self._object(top, bottom, mask)
+        covered = np.flatnonzero(mask.any(axis=0))
+        if covered.size:
+            columns = slice(int(covered[0]), int(covered[-1]) + 1)
+            beside = background[:, columns]
+            beside *= (np.float32(1.0) - mask[:, columns])[..., None]
+            beside += self._object(top, bottom, columns)
         return background, (mask == 0.0) & (changed == 0.0)
 
-    def _object(self, top: int, bottom: int, mask: FloatArray) -> FloatArray:
-        """Light from the object, linear and premultiplied."""
-        albedo = self.window.crop(self.canvas.albedo)[top:bottom]
-        normal = self.window.crop(self.canvas.normal)[top:bottom]
+    def _object(self, top: int, bottom: int, columns: slice) -> FloatArray:
+        """Light from the object in rows [top, bottom) and these columns, linear, premultiplied."""
+        mask, albedo, normal = (
+            self.window.crop(array)[top:bottom, columns]
+            for array in (self.canvas.mask, self.canvas.albedo, self.canvas.normal)
+        )
         size = (self.window.height, self.window.width)
-        light = light_rows(self.light, albedo, normal, mask, top, bottom, size)
+        light = light_rows(self.light, albedo, normal, mask, top, bottom, size, columns)
         return np.clip(light, 0.0, mask[..., None])
 
     def _shadow_beside_object(self, top: int, bottom: int) -> FloatArray:

@@ -14,7 +14,13 @@ import cv2
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.imaging.upsampling import FIT_SIGMA, GuidedFit, fit_guided
+from spotlight_runtime.imaging.upsampling import (
+    FIT_SIGMA,
+    GuidedFit,
+    cell_of,
+    fit_guided,
+    grid_of,
+)
 from spotlight_runtime.relighting.canvas import Canvas
 
 __all__ = ["divided", "fit_light", "light_rows"]
@@ -37,6 +43,10 @@ has 28.7 dB where bicubic enlargement has 25.0, and 30.7 where 27.9 if they are 
 THINNEST: Final = 0.25
 """Coverage below which a small pixel says nothing about the object."""
 BARELY_COVERED: Final = 1e-4
+MARGIN: Final = 8
+"""Pixels beyond the object that a fit takes in: more than any blur of its edge."""
+
+Box = tuple[slice, slice]
 
 
 def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[GuidedFit, ...]:
@@ -58,12 +68,15 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
     Returns
     -------
     tuple of GuidedFit
-        One a channel.
+        One a channel; of use where the object is.
     """
-    mask = small.mask
-    light = own / np.maximum(mask, np.float32(THINNEST))[..., None]
-    albedo = np.clip(divided(small.albedo, mask), 0.0, 1.0)
-    normal = divided(small.normal, mask)
+    reach, smooth = reach or FIT_SIGMA, reach > 0.0
+    cell = cell_of(reach, smooth)
+    about, cells = _about_object(small.mask, cell)
+    mask = small.mask[about]
+    light = own[about] / np.maximum(mask, np.float32(THINNEST))[..., None]
+    albedo = np.clip(divided(small.albedo[about], mask), 0.0, 1.0)
+    normal = divided(small.normal[about], mask)
     counted = np.where(mask >= THINNEST, mask * mask, np.float32(0.0))
     fits = []
     for value, colour in zip(np.moveaxis(light, 2, 0), np.moveaxis(albedo, 2, 0)):
@@ -71,19 +84,39 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
         slopes, energy = normal.shape[2], float((counted * colour**2).sum())
         shading = float((counted * colour * value).sum()) / energy if energy > 0.0 else 1.0
         slope = SLOPE_RIDGE * energy / max(float(counted.sum()), BARELY_COVERED)
-        fits.append(
-            fit_guided(
-                value,
-                counted,
-                blurred,
-                ridge=(*[slope] * slopes, 0.0, HIGHLIGHT_RIDGE),
-                usual=(*[0.0] * slopes, shading, 0.0),
-                leftover=None if reach else _leftover(colour, slopes),
-                reach=reach or FIT_SIGMA,
-                smooth=reach > 0.0,
-            )
+        fit = fit_guided(
+            value,
+            counted,
+            blurred,
+            ridge=(*[slope] * slopes, 0.0, HIGHLIGHT_RIDGE),
+            usual=(*[0.0] * slopes, shading, 0.0),
+            leftover=None if smooth else _leftover(colour, slopes),
+            reach=reach,
+            smooth=smooth,
         )
+        coefficients = np.zeros((*grid_of(small.size, cell), slopes + 2), dtype=np.float32)
+        coefficients[cells] = fit.coefficients
+        fits.append(GuidedFit(coefficients))
     return tuple(fits)
+
+
+def _about_object(mask: FloatArray, cell: float) -> tuple[Box, Box]:
+    """The object's box and a margin where nothing counts, in pixels and in cells of a fit.
+
+    All of the picture where it is not divided into cells of whole pixels.
+    """
+    step, grid = int(cell), grid_of(mask.shape, cell)
+    covered = mask > 0.0
+    if (grid[0] * cell, grid[1] * cell) != mask.shape or not covered.any():
+        return np.s_[:, :], np.s_[:, :]
+    margin = -(-MARGIN // step)
+    cells = []
+    for axis, count in enumerate(grid):
+        place = np.flatnonzero(covered.any(axis=1 - axis)) // step
+        first, last = int(place[0]) - margin, int(place[-1]) + 1 + margin
+        cells.append(slice(max(first, 0), min(last, count)))
+    rows, columns = (slice(part.start * step, part.stop * step) for part in cells)
+    return (rows, columns), (cells[0], cells[1])
 
 
 def _leftover(colour: FloatArray, slopes: int) -> FloatArray:
@@ -102,6 +135,7 @@ def light_rows(
     top: int,
     bottom: int,
     size: tuple[int, int],
+    columns: slice = slice(None),
 ) -> FloatArray:
     """Rows [top, bottom) of the object's light at full resolution.
 
@@ -116,6 +150,8 @@ def light_rows(
     top, bottom : int
     size : tuple of int
         Height and width of the large picture.
+    columns : slice
+        The W columns of it that the maps are of; by default all.
 
     Returns
     -------
@@ -126,7 +162,7 @@ def light_rows(
     light = np.empty(albedo.shape, dtype=np.float32)
     for channel, fit in enumerate(fits):
         guide = _light_guide(albedo[..., channel], normal)
-        light[..., channel] = fit.rows(guide, top, bottom, size, mask)
+        light[..., channel] = fit.rows(guide, top, bottom, size, mask, columns)
     return light
 
 

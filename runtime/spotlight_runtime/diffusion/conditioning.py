@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from spotlight_runtime.scenes.scene import Intrinsics, Scene
 from spotlight_spec import BackboneSpec, MapSpec
 
 __all__ = [
+    "KnownMaps",
     "align_depth",
     "composite_maps",
     "conditioning_array",
@@ -26,6 +28,8 @@ __all__ = [
 ]
 
 
+DERIVED = ("shading", "mask")
+"""Maps that depend on what is hidden; the others are the scene's."""
 SHADOW_THRESHOLD = 0.1
 """Shading is hidden from the network where the guiding shadow exceeds this."""
 BARELY_COVERED = 1e-4
@@ -182,13 +186,47 @@ def conditioning_array(spec: BackboneSpec, scene: Scene, guiding_shadow: FloatAr
     MissingMapError
         If the scene lacks a map of the backbone.
     """
-    derived = ("shading", "mask")
-    maps = composite_maps(scene, tuple(m.name for m in spec.maps if m.name not in derived))
-    hidden = masked_region(guiding_shadow, scene.object_mask)
-    if spec.shading.known == "inside":
-        hidden = ~hidden
-    encoded = encode_linear(scene.background, spec.shading.background_encoding)
-    return stack_maps(spec, maps, encoded, scene.background_maps.albedo, hidden)
+    return KnownMaps.of(spec, scene).hiding(guiding_shadow)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownMaps:
+    """What all branches of a view are conditioned on: they differ in what is hidden from them.
+
+    Attributes
+    ----------
+    spec : BackboneSpec
+    planes : ndarray of float32, shape (K, H, W)
+        The conditioning with nothing hidden.
+    object_mask : ndarray of float32, shape (H, W)
+    """
+
+    spec: BackboneSpec
+    planes: FloatArray
+    object_mask: FloatArray
+
+    @classmethod
+    def of(cls, spec: BackboneSpec, scene: Scene) -> KnownMaps:
+        """The known maps of a scene; errors are those of `conditioning_array`."""
+        maps = composite_maps(scene, tuple(m.name for m in spec.maps if m.name not in DERIVED))
+        encoded = encode_linear(scene.background, spec.shading.background_encoding)
+        nothing = np.zeros(scene.size, dtype=np.bool_)
+        planes = stack_maps(spec, maps, encoded, scene.background_maps.albedo, nothing)
+        return cls(spec, planes, scene.object_mask)
+
+    def hiding(self, guiding_shadow: FloatArray) -> FloatArray:
+        """Conditioning of a branch; see `conditioning_array`."""
+        hidden = masked_region(guiding_shadow, self.object_mask)
+        if self.spec.shading.known == "inside":
+            hidden = ~hidden
+        planes = self.planes.copy()
+        start = 0
+        for entry in self.spec.maps:
+            stop = start + entry.channels
+            if entry.name in DERIVED:
+                np.copyto(planes[start:stop], np.float32(_fill(entry)), where=hidden)
+            start = stop
+        return planes
 
 
 def stack_maps(

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.diffusion.conditioning import composite_maps, conditioning_array
+from spotlight_runtime.diffusion.conditioning import KnownMaps, composite_maps
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step, sample, shadow_guided
 from spotlight_runtime.diffusion.schedule import Schedule
 from spotlight_runtime.diffusion.solvers import SolverName, make_solver
@@ -73,7 +73,7 @@ def guided_pass(
 def plain_pass(
     networks: Mapping[str, Network],
     spec: BackboneSpec,
-    view: Scene,
+    known: KnownMaps,
     noise: FloatArray,
     solver: SolverName,
     steps: int,
@@ -85,8 +85,8 @@ def plain_pass(
     ----------
     networks : mapping of str to Network
     spec : BackboneSpec
-    view : Scene
-        As `Prepared` has it.
+    known : KnownMaps
+        Of the view.
     noise : ndarray of float32, shape (1, C, h, w)
         The guided pass's initial noise, so that what differs is the shadow.
     solver : str
@@ -94,7 +94,7 @@ def plain_pass(
     reuse : int
         As `GuidedPass` has it.
     """
-    conditioning = conditioning_array(spec, view, np.zeros_like(view.object_mask))
+    conditioning = known.hiding(np.zeros_like(known.object_mask))
     encoded = encode_conditioning(networks, conditioning[None])
     predict = predictor(networks, encoded, spec.schedule, reuse=reuse)
     return sample(predict, noise, make_solver(solver, Schedule.trailing(spec.schedule, steps)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, check_array, pad_edge
 from spotlight_runtime.diffusion.blending import downsample_antialiased, latent_shadow_mask
-from spotlight_runtime.diffusion.conditioning import conditioning_array, rough_composite
+from spotlight_runtime.diffusion.conditioning import KnownMaps, rough_composite
 from spotlight_runtime.diffusion.noise import gaussian
 from spotlight_runtime.diffusion.sampler import LoopInputs
 from spotlight_runtime.networks.codec import encode_image
@@ -164,6 +164,7 @@ def loop_inputs(
     shadows: Pair,
     options: RelightOptions,
     planned: GuidedPass,
+    known: KnownMaps,
 ) -> LoopInputs:
     """Everything `shadow_guided` needs for the branches that are planned.
 
@@ -179,6 +180,8 @@ def loop_inputs(
     options : RelightOptions
     planned : GuidedPass
         How many branches there are, and which of them blend their composite in.
+    known : KnownMaps
+        Of the scene.
 
     Returns
     -------
@@ -202,7 +205,7 @@ def loop_inputs(
         return encode_image(networks, spec, composite, sampled)
 
     return LoopInputs(
-        conditioning=np.stack([conditioning_array(spec, scene, shadow) for shadow in branches]),
+        conditioning=np.stack([known.hiding(shadow) for shadow in branches]),
         composite_latents=np.concatenate([encode(i, s) for i, s in enumerate(branches)]),
         shadow_mask=np.stack([_blend_mask(spec, scene, shadow)[None] for shadow in branches]),
         guidance_mask=guidance_mask(spec, scene)[None, None],

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from spotlight_runtime.arrays import FloatArray
+from spotlight_runtime.diffusion.conditioning import KnownMaps
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
@@ -286,12 +287,13 @@ class Relighter:
         """`run`, of what `prepare` made."""
         task = task.fresh()
         with task.stopwatch.stage("encode"):
-            inputs = [self._inputs(task, number) for number in range(task.lights)]
+            known = KnownMaps.of(self.spec, task.prepared.view)
+            inputs = [self._inputs(task, number, known) for number in range(task.lights)]
             self._release("vae_encoder")
         latents = []
         for number, each in enumerate(inputs):
             latents.append((yield from self._guided(task, number, each)))
-        plain = yield from self._plain(task, inputs[0].initial_noise)
+        plain = yield from self._plain(task, known, inputs[0].initial_noise)
         self._release("condition_encoder", *EVERY_STEP)
         predicted = [self._develop(task, z) for z in latents]
         no_shadow = self._no_shadow(task, plain, predicted[0])
@@ -304,13 +306,15 @@ class Relighter:
         """`run_each`, of what `prepare` made."""
         task = task.fresh()
         no_shadow: FloatArray | None = None
+        with task.stopwatch.stage("encode"):
+            known = KnownMaps.of(self.spec, task.prepared.view)
         for number in range(task.lights):
             with task.stopwatch.stage("encode"):
-                inputs = self._inputs(task, number)
+                inputs = self._inputs(task, number, known)
             latents = yield from self._guided(task, number, inputs)
             predicted = self._develop(task, latents)
             if no_shadow is None:
-                plain = yield from self._plain(task, inputs.initial_noise)
+                plain = yield from self._plain(task, known, inputs.initial_noise)
                 no_shadow = self._no_shadow(task, plain, predicted)
             alone = task.only(number)
             yield result(self.spec, alone, [predicted], no_shadow, self._model)
@@ -344,7 +348,8 @@ class Relighter:
     ) -> LoopInputs:
         """The arrays `relight` runs its loop on, to inspect, save or replay elsewhere."""
         changes["skip"] = False  # all there is, whether or not a relight calls for it
-        return self._inputs(self.prepare(scene, light, negative, options, **changes), 0)
+        task = self.prepare(scene, light, negative, options, **changes)
+        return self._inputs(task, 0, KnownMaps.of(self.spec, task.prepared.view))
 
     def trajectory(
         self, inputs: LoopInputs, options: RelightOptions | None = None
@@ -380,10 +385,10 @@ class Relighter:
             Seconds(took, sum(timings.values()) - took - over),
         )
 
-    def _inputs(self, task: Task, number: int) -> LoopInputs:
-        prepared, planned = task.prepared, task.plan.passes[number]
-        shadows = prepared.shadows[number]
-        return loop_inputs(self._networks, self.spec, prepared.view, shadows, task.options, planned)
+    def _inputs(self, task: Task, number: int, known: KnownMaps) -> LoopInputs:
+        view, shadows = task.prepared.view, task.prepared.shadows[number]
+        planned = task.plan.passes[number]
+        return loop_inputs(self._networks, self.spec, view, shadows, task.options, planned, known)
 
     def _guided(
         self, task: Task, number: int, inputs: LoopInputs
@@ -395,14 +400,16 @@ class Relighter:
             )
         return (yield from task.drain(trajectory, "relight", number, planned.steps))
 
-    def _plain(self, task: Task, noise: FloatArray) -> Generator[Progress, None, FloatArray | None]:
+    def _plain(
+        self, task: Task, known: KnownMaps, noise: FloatArray
+    ) -> Generator[Progress, None, FloatArray | None]:
         planned = task.plan.plain
         if planned.source != "run":
             return None
-        view, solver = task.prepared.view, task.options.solver
+        solver = task.options.solver
         with task.stopwatch.stage("condition"):
             trajectory = passes.plain_pass(
-                self._networks, self.spec, view, noise, solver, planned.steps, planned.reuse
+                self._networks, self.spec, known, noise, solver, planned.steps, planned.reuse
             )
         return (yield from task.drain(trajectory, "no shadow", 0, planned.steps))
 

@@ -141,6 +141,9 @@ class BackboneSpec:
     light_reach : float
         Pixels over which the light it finds on an object is smooth: a small renderer knows how
         an object is lit before it knows how its pixels look. 0: its pixels are to be believed.
+    batch_branches : bool
+        Whether both branches in one call are quicker than one after the other: they are where a
+        call costs more than the arithmetic in it, as in a small network on few cores.
     """
 
     name: str
@@ -154,6 +157,7 @@ class BackboneSpec:
     size: int = 512
     noisy_renders: bool = False
     light_reach: float = 0.0
+    batch_branches: bool = False
 
     def __post_init__(self) -> None:
         names = [entry.name for entry in self.maps]

@@ -60,6 +60,7 @@ BACKBONES: Final[dict[str, BackboneSpec]] = {
             conditioning_layout="latent_concat",
             size=256,
             light_reach=8.0,
+            batch_branches=True,
         ),
     )
 }

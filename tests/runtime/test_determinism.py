@@ -102,3 +102,15 @@ def test_two_runs_may_take_turns(relighter, options, scene, shadow, negative):
     for s, seen in zip((shadow, negative), turns):
         alone = [p.step.latents.tobytes() for p in relighter.run(scene, s, None, options)]
         assert seen == alone
+
+
+@pytest.mark.parametrize("pays", [False, True])
+def test_branches_share_a_call_where_that_pays_for_the_backbone(
+    backbone, options, scene, shadow, negative, pays
+):
+    loaded = Relighter.load(backbone, threads=1)
+    relighter = Relighter(replace(loaded.spec, batch_branches=pays), loaded._networks)
+    plan = relighter.relight(scene, shadow, negative, options).plan
+    assert plan.calls()["denoiser"] == plan.evaluations - (plan.passes[0].contrasts if pays else 0)
+    other = relighter.relight(scene, shadow, negative, options, batch_branches=not pays)
+    assert other.plan.batched is not pays

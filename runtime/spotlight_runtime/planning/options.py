@@ -54,8 +54,9 @@ class RelightOptions:
     denoise : bool or None
         Denoise the predictions; by default where the backbone was trained on noisy renders and
         the extra is installed.
-    batch_branches : bool
-        Run both branches in one network call: more memory, and no faster on a CPU.
+    batch_branches : bool or None
+        Run both branches in one network call; by default where that pays for the backbone
+        (`BackboneSpec.batch_branches`). It takes more memory.
     guidance_interval : (float, float)
         From which to which share of the steps the two branches are contrasted (Kynkäänniemi et
         al. 2024); outside it the negative one is not evaluated.
@@ -96,7 +97,7 @@ class RelightOptions:
     guidance_rescale: float = 0.0
     shadow_opacity: float = 1.0
     denoise: bool | None = None
-    batch_branches: bool = False
+    batch_branches: bool | None = None
     guidance_interval: tuple[float, float] = (0.0, 1.0)
     plain_steps: int | None = None
     reuse: int = 1
@@ -152,6 +153,10 @@ class RelightOptions:
         """
         return _checked_steps("steps", self.steps, spec.schedule.steps, spec)
 
+    def batched_for(self, spec: BackboneSpec) -> bool:
+        """Whether both branches are run in one call of this backbone."""
+        return spec.batch_branches if self.batch_branches is None else self.batch_branches
+
     def weight_of_steps(self, steps: int, usual: int) -> float:
         """What β weighs in each of so many steps, where ``usual`` are the backbone's own."""
         if self.fidelity == "release":
@@ -159,7 +164,7 @@ class RelightOptions:
         return weight_of_steps(self.beta, usual, steps)
 
     def for_backbone(self, spec: BackboneSpec) -> RelightOptions:
-        """The same with this backbone's numbers of steps where none are given.
+        """The same with nothing left to this backbone to say.
 
         Raises
         ------
@@ -168,7 +173,8 @@ class RelightOptions:
         """
         steps = self.steps_for(spec)
         plain = _checked_steps("plain_steps", self.plain_steps, steps, spec)
-        return replace(self, steps=steps, plain_steps=plain)
+        batched = self.batched_for(spec)
+        return replace(self, steps=steps, plain_steps=plain, batch_branches=batched)
 
 
 def _checked_steps(name: str, wanted: int | None, usual: int, spec: BackboneSpec) -> int:
@@ -190,7 +196,7 @@ class OptionChanges(TypedDict, total=False):
     guidance_rescale: float
     shadow_opacity: float
     denoise: bool | None
-    batch_branches: bool
+    batch_branches: bool | None
     guidance_interval: tuple[float, float]
     plain_steps: int | None
     reuse: int

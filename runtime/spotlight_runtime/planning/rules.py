@@ -97,7 +97,7 @@ def make_plan(
     ----------
     facts : Facts
     options : RelightOptions
-        With numbers of steps.
+        With nothing left to the backbone (`RelightOptions.for_backbone`).
     costs : Costs, optional
         To predict seconds with.
     name : str, optional
@@ -121,7 +121,7 @@ def make_plan(
         Effect("composite", True, "puts light and shadow into the photograph"),
     )
     usual = "exact" if all(effect.exact for effect in effects) else "custom"
-    plan = Plan(passes, plain, effects, options.batch_branches, name or usual)
+    plan = Plan(passes, plain, effects, bool(options.batch_branches), name or usual)
     return plan if costs is None else _priced(plan, facts, costs)
 
 

@@ -54,7 +54,7 @@ def guided_pass(
         networks,
         encode_conditioning(networks, inputs.conditioning),
         spec.schedule,
-        batch_branches=options.batch_branches,
+        batch_branches=options.batched_for(spec),
         reuse=1 if planned is None else planned.reuse,
     )
     steps = options.steps_for(spec)

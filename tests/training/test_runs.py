@@ -21,7 +21,7 @@ from spotlight_training.data import (  # noqa: E402
     draw_picture,
 )
 from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402
-from spotlight_training.loop import TrainingOptions  # noqa: E402
+from spotlight_training.loop import TrainingOptions, train  # noqa: E402
 from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
 from spotlight_training.restore import restore  # noqa: E402
 from spotlight_training.ship import ship  # noqa: E402
@@ -173,3 +173,43 @@ def test_shipped_model_is_verified_and_relights(trained, tmp_path):
     maps = estimate(image=np.full((1, 3, 64, 96), 0.5, np.float32))["maps"]
     assert maps.shape == (1, 7, 64, 96)
     np.testing.assert_allclose(np.linalg.norm(maps[:, 3:6], axis=1), 1.0, atol=1e-3)
+
+
+def test_a_deeper_renderer_starts_where_a_shallower_one_ended(packed, trained, tmp_path):
+    none = TrainingOptions(steps=1, batch=1, sample_every=1, learning_rate=0.0, samples=1)
+    vae, start = trained / "vae", trained / "renderer"
+    before, spec = runs.load_renderer(start)
+    depth = len(before.denoiser.deep) + 2
+    runs.train_renderer(
+        packed, packed, vae, tmp_path, none, width=64, side=64, start=start, depth=depth
+    )
+    after, _ = runs.load_renderer(tmp_path)
+    assert len(after.denoiser.deep) == depth
+    conditioning = torch.rand(
+        (1, spec.conditioning_channels, 64, 64), generator=torch.Generator().manual_seed(0)
+    )
+    with torch.no_grad():
+        latents, t = torch.ones(1, spec.latent.channels, 8, 8), torch.tensor([500])
+        one, other = (
+            model.denoiser(latents, t, model.condition(conditioning)) for model in (before, after)
+        )
+    torch.testing.assert_close(one, other)
+    with pytest.raises(ValueError, match="expected a renderer of the same width"):
+        runs.train_renderer(
+            packed, packed, vae, tmp_path / "wide", none, width=64, side=64, start=start, depth=1
+        )
+
+
+def test_some_steps_see_more_pictures_of_half_the_side(packed, trained, tmp_path):
+    seen = []
+    model = torch.nn.Linear(1, 1)
+
+    def loss(network, batch, generator):
+        seen.append(tuple(batch["image"].shape))
+        return {"one": network.weight.sum() * 0.0 + 1.0}
+
+    spec = runs.BACKBONES["mini"]
+    fine, coarse = (RendererData(Packed(packed), spec, side) for side in (64, 32))
+    options = TrainingOptions(steps=4, batch=1, sample_every=9, warmup=1, coarse_every=2)
+    train(model, loss, fine, tmp_path, options, lambda *_: None, coarse)
+    assert seen == [(4, 3, 32, 32), (1, 3, 64, 64)] * 2

@@ -7,6 +7,7 @@ its own packages.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -213,12 +214,22 @@ def renderer(
     width: Width = 64,
     side: Side = 256,
     start: Start = None,
+    depth: Annotated[int, typer.Option(help="Blocks of the transformer.")] = 12,
+    coarse_every: Annotated[
+        int,
+        typer.Option(help="One step in so many sees four times as many pictures of half the side."),
+    ] = 0,
 ) -> None:
     """Train the latent renderer over a trained autoencoder."""
     from . import runs
 
-    options = _options(steps, minutes, batch, learning_rate, device, threads, seed)
-    runs.train_renderer(data, held_out, vae_run, run, options, width=width, side=side, start=start)
+    options = replace(
+        _options(steps, minutes, batch, learning_rate, device, threads, seed),
+        coarse_every=coarse_every,
+    )
+    runs.train_renderer(
+        data, held_out, vae_run, run, options, width=width, side=side, start=start, depth=depth
+    )
 
 
 @app.command()

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 __all__ = ["TrainingOptions", "train"]
 
 Batch = dict[str, Tensor]
+Draw = Callable[[np.random.Generator], dict[str, Any]]
 PRINT_EVERY: Final = 50
 """Steps between lines where no terminal shows the bar."""
 
@@ -53,6 +54,9 @@ class TrainingOptions:
         Steps between sample sheets and checkpoints.
     samples : int
         Pictures on a sheet.
+    coarse_every : int
+        One step in so many takes four times as many pictures of half the side, where there are
+        any; 0: none.
     """
 
     steps: int = 20_000
@@ -66,6 +70,7 @@ class TrainingOptions:
     threads: int = 1
     sample_every: int = 500
     samples: int = 6
+    coarse_every: int = 0
 
 
 @contextmanager
@@ -82,10 +87,11 @@ def _denormals_flushed() -> Iterator[None]:
 def train(
     model: nn.Module,
     loss: Callable[[nn.Module, Batch, torch.Generator], dict[str, Tensor]],
-    draw: Callable[[np.random.Generator], dict[str, Any]],
+    draw: Draw,
     run: Path,
     options: TrainingOptions,
     sheet: Callable[[nn.Module, Path], None],
+    coarse: Draw | None = None,
 ) -> nn.Module:
     """Train, or continue the run found in ``run``.
 
@@ -102,6 +108,8 @@ def train(
     options : TrainingOptions
     sheet : callable
         ``sheet(averaged_model, path)`` draws what the model does on held-out samples.
+    coarse : callable, optional
+        As ``draw``, at half the side.
 
     Returns
     -------
@@ -123,7 +131,7 @@ def train(
     start = _resume(run, model, averaged, optimiser, device)
     deadline = None if options.minutes is None else time.monotonic() + 60.0 * options.minutes
     log = _Log(run, start)
-    batches = _Prefetcher(draw, options, start)
+    batches = _Prefetcher(draw, coarse, options, start)
     with _progress() as bar:
         task = bar.add_task("loss –", total=options.steps, completed=start)
         for step in range(start, options.steps):
@@ -209,8 +217,10 @@ def _resume(
 class _Prefetcher:
     """Batches prepared ahead in threads; batch ``n`` depends on the seed and ``n`` alone."""
 
-    def __init__(self, draw: Callable[..., Any], options: TrainingOptions, start: int) -> None:
-        self._draw, self._options, self._next = draw, options, start
+    def __init__(
+        self, draw: Draw, coarse: Draw | None, options: TrainingOptions, start: int
+    ) -> None:
+        self._draw, self._coarse, self._options, self._next = draw, coarse, options, start
         self._pool = ThreadPoolExecutor(options.threads)
         self._queue: list[Future[Batch]] = []
 
@@ -227,7 +237,11 @@ class _Prefetcher:
 
     def _make(self, number: int) -> Batch:
         rng = np.random.default_rng([self._options.seed, number])
-        samples = [self._draw(rng) for _ in range(self._options.batch)]
+        draw, count = self._draw, self._options.batch
+        every = self._options.coarse_every
+        if self._coarse is not None and every and number % every == 0:
+            draw, count = self._coarse, 4 * count
+        samples = [draw(rng) for _ in range(count)]
         return {k: torch.from_numpy(np.stack([s[k] for s in samples])) for k in samples[0]}
 
 

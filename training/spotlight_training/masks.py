@@ -15,8 +15,8 @@ __all__ = ["random_mask"]
 
 BoolArray = npt.NDArray[np.bool_]
 DROP_ALL = 0.05
-OBJECT = 0.75
-ABOUT_OBJECT = 0.5
+OBJECT = 0.9
+ABOUT_OBJECT = 0.9
 FURTHER_SHAPES = (0, 0, 0, 1, 1, 2)
 
 
@@ -32,8 +32,8 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        One picture in twenty is hidden whole; three in four hide the object, grown by up to 5 % of
-        the height; on half of them come one or two rectangles or ellipses, half of these
+        One picture in twenty is hidden whole; nine in ten hide the object, grown by up to 5 % of
+        the height; on half of them come one or two rectangles or ellipses, most of these
         about the object, so the hidden region has no telling outline. On the others all shadows are
         in sight: these teach what a shadow says about the object.
     """

@@ -6,6 +6,7 @@ to go on: on one's own objects, for longer, on a faster machine.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,12 +19,14 @@ from torch import nn
 
 from spotlight_runtime.networks.models import resolve_model
 from spotlight_training.networks import VAE, IntrinsicsNet
-from spotlight_training.runs import new_renderer, save_run, spec_of
+from spotlight_training.runs import new_renderer, renderer_shape, save_run, spec_of
 
 __all__ = ["restore"]
 
 SUFFIXES: Final = ("", ".3d", ".half", ".3d.half")
 """What the exporter adds to a weight's name: for its shape (a group norm's), for its precision."""
+
+BLOCK: Final = re.compile(r"denoiser\.deep\.(\d+)\.")
 
 Weights = dict[str, npt.NDArray[Any]]
 
@@ -65,12 +68,13 @@ def restore(model: str | Path, out: Path) -> tuple[Path, Path, Path]:
     shape = {"latent": latent, "width": width}
     vae = _filled(VAE(latent, width), "vae.", autoencoder)
     width = len(_find(graphs["denoiser"], "denoiser.enter.bias"))
-    renderer = new_renderer(vae, spec_of(shape), width)
+    blocks = {match[1] for match in map(BLOCK.match, graphs["denoiser"]) if match}
+    renderer = new_renderer(vae, spec_of(shape), width, len(blocks))
     _filled(renderer.condition, "", graphs["condition_encoder"])
     _filled(renderer.denoiser, "denoiser.", graphs["denoiser"] | _variance(graphs, latent))
     estimator = _filled(IntrinsicsNet(), "", graphs["intrinsics"])
     save_run(folders[0], vae, shape)
-    save_run(folders[1], renderer, {"width": width, "vae": shape})
+    save_run(folders[1], renderer, renderer_shape(renderer, shape))
     save_run(folders[2], estimator, {})
     return folders
 

@@ -37,6 +37,7 @@ __all__ = [
     "load_renderer",
     "load_vae",
     "new_renderer",
+    "renderer_shape",
     "save_run",
     "spec_of",
     "train_intrinsics",
@@ -45,8 +46,8 @@ __all__ = [
 ]
 
 MODEL_FILE = "model.safetensors"
-DEPTH = 6
-"""Blocks of the renderer's deep part."""
+DEPTH = 12
+"""Blocks of a new renderer's deep part."""
 
 
 def train_vae(
@@ -107,6 +108,7 @@ def train_renderer(
     width: int,
     side: int,
     start: Path | None = None,
+    depth: int = DEPTH,
 ) -> None:
     """Train condition encoder and denoiser over a trained VAE.
 
@@ -124,13 +126,15 @@ def train_renderer(
     side : int
         Of the training pictures; learning first at half size sees four times as many.
     start : Path, optional
-        Run whose weights a new run starts from.
+        Run whose weights a new run starts from; it may have fewer blocks.
+    depth : int
+        Blocks of the renderer's deep part.
     """
     autoencoder, spec = load_vae(vae)
     samples = _held_out(RendererData(Packed(held_out), spec), options.samples)
-    network = new_renderer(autoencoder, spec, width)
+    network = new_renderer(autoencoder, spec, width, depth)
     if start is not None:
-        _load(network, start / MODEL_FILE)
+        _grown(network, start / MODEL_FILE)
     model = train(
         network,
         renderer_loss(spec),
@@ -138,11 +142,12 @@ def train_renderer(
         run,
         options,
         renderer_sheet(samples, spec, options.device),
+        coarse=RendererData(Packed(data), spec, side // 2),
     )
     save_run(
         run,
         model,
-        {"width": width, "vae": {"latent": autoencoder.latent, "width": autoencoder.width}},
+        renderer_shape(model, {"latent": autoencoder.latent, "width": autoencoder.width}),
     )
 
 
@@ -181,12 +186,12 @@ def load_renderer(run: Path) -> tuple[Renderer, BackboneSpec]:
     """The trained renderer of a run with its VAE, and the spec of the backbone they make."""
     shape = _read_shape(run)
     spec = spec_of(shape["vae"])
-    model = new_renderer(_vae(shape["vae"], None), spec, shape["width"])
+    model = new_renderer(_vae(shape["vae"], None), spec, shape["width"], shape["depth"])
     _load(model, run / MODEL_FILE)
     return model.eval(), spec
 
 
-def new_renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
+def new_renderer(vae: VAE, spec: BackboneSpec, width: int, depth: int) -> Renderer:
     """Untrained condition encoder and denoiser over a VAE."""
     channels = {}
     start = 0
@@ -195,8 +200,14 @@ def new_renderer(vae: VAE, spec: BackboneSpec, width: int) -> Renderer:
         start += entry.channels
     condition = ConditionEncoder(vae, channels)
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule))
-    denoiser = Denoiser(spec.latent.channels, condition.channels, width, DEPTH, alpha_bar)
+    denoiser = Denoiser(spec.latent.channels, condition.channels, width, depth, alpha_bar)
     return Renderer(vae, condition, denoiser)
+
+
+def renderer_shape(renderer: Renderer, vae: dict[str, Any]) -> dict[str, Any]:
+    """What a renderer is built from again: its own sizes, and the shape of its VAE."""
+    denoiser = renderer.denoiser
+    return {"width": denoiser.width, "depth": len(denoiser.deep), "vae": vae}
 
 
 def spec_of(shape: dict[str, Any]) -> BackboneSpec:
@@ -248,6 +259,16 @@ def _read_shape(run: Path) -> dict[str, Any]:
 def _load(model: nn.Module, path: Path) -> None:
     with safe_open(path, framework="pt") as file:
         model.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+
+
+def _grown(model: nn.Module, path: Path) -> None:
+    """Start from a run with fewer blocks: those that are new change nothing at first."""
+    with safe_open(path, framework="pt") as file:
+        given = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    missing, unknown = model.load_state_dict(given, strict=False)
+    strange = [*unknown, *(name for name in missing if not name.startswith("denoiser.deep."))]
+    if strange:
+        raise ValueError(f"{path}: expected a renderer of the same width, found others: {strange}")
 
 
 def take_decoder(renderer: Renderer, vae: Path) -> None:

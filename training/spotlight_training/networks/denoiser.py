@@ -154,6 +154,7 @@ class _Block(nn.Module):
         self.mix = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1, groups=2 * channels)
         self.shrink = nn.Conv2d(2 * channels, channels, 1)
         nn.init.zeros_(self.shrink.weight)
+        nn.init.zeros_(self.shrink.bias)
         nn.init.zeros_(self.modulate.weight)
         nn.init.zeros_(self.modulate.bias)
 

@@ -8,7 +8,7 @@ from typing import Final
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["GAMMA", "PATCH", "Attention", "ResBlock", "double", "norm"]
+__all__ = ["GAMMA", "PATCH", "Attention", "ResBlock", "norm"]
 
 PATCH: Final = 8
 """Pixels per latent."""
@@ -62,9 +62,3 @@ class Attention(nn.Module):
         q, k, v = (t.transpose(-1, -2) for t in qkv.unbind(1))
         h = functional.scaled_dot_product_attention(q, k, v)
         return x + self.out(h.transpose(-1, -2).reshape(batch, channels, height, width))
-
-
-def double(x: Tensor, like: Tensor | None = None) -> Tensor:
-    """Nearest upsampling by 2, cropped to ``like`` where that is one smaller."""
-    x = x.repeat_interleave(2, dim=-2).repeat_interleave(2, dim=-1)
-    return x if like is None else x[..., : like.shape[-2], : like.shape[-1]]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from spotlight_training.networks.blocks import Attention, ResBlock, double, norm
+from spotlight_training.networks.blocks import Attention, ResBlock, norm
 from spotlight_training.networks.condition import LIGHTS
 
 __all__ = ["Denoiser"]
@@ -115,8 +115,9 @@ class Denoiser(nn.Module):
         for block in self.deep:
             x = block(x, embedding)
         light = functional.interpolate(self.light(x), scale_factor=2.0, mode="bilinear")
-        light = light[..., : shown.shape[-2], : shown.shape[-1]]
-        return torch.cat([double(self.up(x), like=shown), light.to(x.dtype)], dim=1)
+        features = functional.interpolate(self.up(x), scale_factor=2.0)
+        deep = torch.cat([features, light.to(x.dtype)], dim=1)
+        return deep[..., : shown.shape[-2], : shown.shape[-1]]
 
     def _leave(
         self,

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from spotlight_training.networks.blocks import GAMMA, Attention, ResBlock, double, norm
+from spotlight_training.networks.blocks import GAMMA, Attention, ResBlock, norm
 
 __all__ = ["IntrinsicsNet"]
 
@@ -66,8 +66,14 @@ class IntrinsicsNet(nn.Module):
         x = self.middle(x)
         for grow, blocks in self.up:
             skip = skips.pop()
-            x = blocks(torch.cat([grow(double(x, like=skip)), skip], dim=1))
+            x = blocks(torch.cat([grow(_double(x, like=skip)), skip], dim=1))
         raw = self.fold(self.leave(x))
         albedo = (raw[:, :3] + torch.logit(image.clamp(0.0, 1.0) ** GAMMA, eps=1e-2)).sigmoid()
         normal = functional.normalize(raw[:, 3:6], dim=1, eps=1e-4)
         return torch.cat([albedo, normal, raw[:, 6:].clamp(-8.0, 8.0).exp()], dim=1)
+
+
+def _double(x: Tensor, like: Tensor) -> Tensor:
+    """Each place twice along both sides, cropped to ``like`` where that is one smaller."""
+    x = x.repeat_interleave(2, dim=-2).repeat_interleave(2, dim=-1)
+    return x[..., : like.shape[-2], : like.shape[-1]]

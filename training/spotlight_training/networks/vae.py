@@ -7,8 +7,9 @@ from typing import Final
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
-from spotlight_training.networks.blocks import PATCH, ResBlock, double, norm
+from spotlight_training.networks.blocks import PATCH, ResBlock, norm
 
 __all__ = ["VAE"]
 
@@ -59,7 +60,8 @@ class VAE(nn.Module):
 
     def decode(self, z: Tensor) -> Tensor:
         """Image (B, 3, H, W), nominally in [−1, 1]."""
-        return self.synthesis(z) + self.high(self.middle(double(self.low(z))))
+        finer = functional.interpolate(self.low(z), scale_factor=2.0)
+        return self.synthesis(z) + self.high(self.middle(finer))
 
     @torch.no_grad()
     def fit_patches(self, patches: Tensor) -> Tensor:

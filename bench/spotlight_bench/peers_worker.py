@@ -18,7 +18,7 @@ import numpy as np
 from spotlight_bench.peers_engines import open_engine
 from spotlight_runtime import GuidingShadow, Relighter, RelightOptions, RelightResult, Scene
 from spotlight_runtime.arrays import FloatArray
-from spotlight_runtime.networks.models import LazyNetworks
+from spotlight_runtime.networks.models import release
 from spotlight_runtime.relighting.calibration import made_up_scene
 from spotlight_runtime.relighting.result import peak_memory_bytes
 from spotlight_spec import BackboneSpec, Manifest
@@ -61,8 +61,8 @@ def main(wish: dict[str, Any]) -> dict[str, Any]:
         "relight_seconds": {},
         "relight_evaluations": {},
     }
-    if wish["low_memory"] and isinstance(networks, LazyNetworks):
-        networks.release(*networks)
+    if wish["low_memory"]:
+        release(networks, *networks)
     for plan in wish["relights"]:
         took, result = relight(
             networks, spec, wish["side"], plan, ours=wish["engine"] == "spotlight",

@@ -31,6 +31,7 @@ __all__ = [
     "find_models",
     "open_networks",
     "predictor",
+    "release",
     "resolve_model",
 ]
 
@@ -206,6 +207,12 @@ class LazyNetworks(Mapping[str, Network]):
         """Close the sessions of these graphs; they open again when used."""
         for name in names:
             self._open.pop(name, None)
+
+
+def release(networks: Mapping[str, Network], *names: str) -> None:
+    """Close the sessions of these graphs where they open again when used; plain functions stay."""
+    if isinstance(networks, LazyNetworks):
+        networks.release(*names)
 
 
 def predictor(

@@ -18,7 +18,7 @@ from spotlight_runtime.diffusion.conditioning import KnownMaps
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
 from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
-from spotlight_runtime.networks.models import Engine, LazyNetworks, open_networks, resolve_model
+from spotlight_runtime.networks.models import Engine, open_networks, release, resolve_model
 from spotlight_runtime.networks.sessions import DEFAULT_PROVIDERS, EVERY_STEP, Network
 from spotlight_runtime.planning.costs import (
     Costs,
@@ -426,5 +426,5 @@ class Relighter:
         return passes.develop(self._networks, self.spec, view, latents, denoised, task.stopwatch)
 
     def _release(self, *names: str) -> None:
-        if self._low_memory and isinstance(self._networks, LazyNetworks):
-            self._networks.release(*names)
+        if self._low_memory:
+            release(self._networks, *names)

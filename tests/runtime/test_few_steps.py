@@ -12,21 +12,21 @@ USUAL = {"denoise": False, "window": "frame"}
 
 @pytest.fixture(scope="module")
 def darkening():
-    """How much darker than the photograph a drawn shadow's ground becomes, by options."""
-    scene = Scene.load(SCENES / "goblet")
-    rows, columns = np.nonzero(scene.object_mask > 0.5)
-    foot, right = rows.max(), columns.max()
-    shadow = np.zeros(scene.size, np.float32)
-    shadow[foot - 24 : foot + 16, right - 40 : right + 60] = 1.0
-    ground = (shadow > 0.0) & (scene.object_mask == 0.0)
-    before = np.clip(linear_to_srgb(scene.background), 0.0, 1.0)[ground].mean()
+    """How much darker than the photographs the ground of drawn shadows becomes, by options."""
     relighter = Relighter.load("mini", remember=0)
 
-    def measured(**options):
+    def of(scene, options):
+        rows, columns = np.nonzero(scene.object_mask > 0.5)
+        foot, right = rows.max(), columns.max()
+        shadow = np.zeros(scene.size, np.float32)
+        shadow[foot - 24 : foot + 16, right - 40 : right + 60] = 1.0
+        ground = (shadow > 0.0) & (scene.object_mask == 0.0)
+        before = np.clip(linear_to_srgb(scene.background), 0.0, 1.0)[ground].mean()
         picture = relighter.relight(scene, shadow, **USUAL | options).image
         return 1.0 - picture[ground].mean() / before
 
-    return measured
+    scenes = [Scene.load(folder) for folder in sorted(SCENES.iterdir())]
+    return lambda **options: np.mean([of(scene, options) for scene in scenes])
 
 
 @pytest.mark.parametrize(("solver", "steps"), [("ddim", 6), ("unipc", 3), ("dpmpp_2m", 2)])

@@ -135,11 +135,9 @@ def hidden_everywhere(spec: BackboneSpec, conditioning: FloatArray) -> FloatArra
 
 def _maps(spec: BackboneSpec, name: str) -> Iterator[tuple[MapSpec, slice]]:
     """Yield the maps of that name (one or none) with their channels."""
-    start = 0
     for entry in spec.maps:
         if entry.name == name:
-            yield entry, slice(start, start + entry.channels)
-        start += entry.channels
+            yield entry, spec.channels[name]
 
 
 def _fill(entry: MapSpec) -> float:

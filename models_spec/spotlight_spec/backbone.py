@@ -170,6 +170,16 @@ class BackboneSpec:
             )
 
     @property
+    def channels(self) -> dict[str, slice]:
+        """Where each map is in the conditioning array."""
+        found: dict[str, slice] = {}
+        start = 0
+        for entry in self.maps:
+            found[entry.name] = slice(start, start + entry.channels)
+            start += entry.channels
+        return found
+
+    @property
     def conditioning_channels(self) -> int:
         """Channels of the conditioning array."""
         return sum(entry.channels for entry in self.maps)

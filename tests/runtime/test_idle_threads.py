@@ -33,13 +33,6 @@ def quiet():
         assert time.monotonic() < until, "something else of this process is at work"
 
 
-def test_a_product_of_large_matrices_would_show():
-    large = np.ones((512, 512))
-    large @ large
-    if at_work() < 0.3:
-        pytest.skip("this BLAS does not spin")
-
-
 @pytest.mark.parametrize("folder", sorted(SCENES.iterdir()), ids=lambda folder: folder.name)
 def test_nothing_is_left_at_work_by_preparing(folder):
     scene = Scene.load(folder)

@@ -136,7 +136,7 @@ def renderer_sheet(samples: list[dict[str, Any]], spec: BackboneSpec, device: st
             conditioning = torch.from_numpy(item["conditioning"])[None].to(device)
             image = torch.from_numpy(item["image"])[None].to(device)
             decoded = render(model, spec, conditioning, seed=number)
-            shading = conditioning[:, _shading_channels(spec)].clamp(0, 2) - 1
+            shading = conditioning[:, spec.channels["shading"]].clamp(0, 2) - 1
             psnr = -10 * torch.log10(((decoded - image) / 2).square().mean()).item()
             columns.append(
                 [
@@ -203,15 +203,6 @@ def _gradient_distance(a: Tensor, b: Tensor) -> Tensor:
     return (error[..., 1:, :] - error[..., :-1, :]).abs().mean() + (
         error[..., 1:] - error[..., :-1]
     ).abs().mean()
-
-
-def _shading_channels(spec: BackboneSpec) -> slice:
-    start = 0
-    for entry in spec.maps:
-        if entry.name == "shading":
-            return slice(start, start + entry.channels)
-        start += entry.channels
-    raise ValueError(f"backbone {spec.name!r} has no shading map")
 
 
 def _pixels(image: Tensor) -> npt.NDArray[np.uint8]:

@@ -193,12 +193,7 @@ def load_renderer(run: Path) -> tuple[Renderer, BackboneSpec]:
 
 def new_renderer(vae: VAE, spec: BackboneSpec, width: int, depth: int) -> Renderer:
     """Untrained condition encoder and denoiser over a VAE."""
-    channels = {}
-    start = 0
-    for entry in spec.maps:
-        channels[entry.name] = slice(start, start + entry.channels)
-        start += entry.channels
-    condition = ConditionEncoder(vae, channels)
+    condition = ConditionEncoder(vae, spec.channels)
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule))
     denoiser = Denoiser(spec.latent.channels, condition.channels, width, depth, alpha_bar)
     return Renderer(vae, condition, denoiser)
@@ -257,15 +252,17 @@ def _read_shape(run: Path) -> dict[str, Any]:
 
 
 def _load(model: nn.Module, path: Path) -> None:
+    model.load_state_dict(_weights(path))
+
+
+def _weights(path: Path) -> dict[str, torch.Tensor]:
     with safe_open(path, framework="pt") as file:
-        model.load_state_dict({name: file.get_tensor(name) for name in file.keys()})  # noqa: SIM118
+        return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
 
 
 def _grown(model: nn.Module, path: Path) -> None:
     """Start from a run with fewer blocks: those that are new change nothing at first."""
-    with safe_open(path, framework="pt") as file:
-        given = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    missing, unknown = model.load_state_dict(given, strict=False)
+    missing, unknown = model.load_state_dict(_weights(path), strict=False)
     strange = [*unknown, *(name for name in missing if not name.startswith("denoiser.deep."))]
     if strange:
         raise ValueError(f"{path}: expected a renderer of the same width, found others: {strange}")

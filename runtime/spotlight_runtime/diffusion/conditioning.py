@@ -219,13 +219,10 @@ class KnownMaps:
         hidden = masked_region(guiding_shadow, self.object_mask)
         if self.spec.shading.known == "inside":
             hidden = ~hidden
-        planes = self.planes.copy()
-        start = 0
+        planes, channels = self.planes.copy(), self.spec.channels
         for entry in self.spec.maps:
-            stop = start + entry.channels
             if entry.name in DERIVED:
-                np.copyto(planes[start:stop], np.float32(_fill(entry)), where=hidden)
-            start = stop
+                np.copyto(planes[channels[entry.name]], np.float32(_fill(entry)), where=hidden)
         return planes
 
 

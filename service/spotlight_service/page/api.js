@@ -2,6 +2,9 @@
 
 const KEY = "spotlight-key"; // of sessionStorage: gone with the tab
 
+/** States that a job stays in, and the last events of its stream. */
+export const ENDS = ["done", "failed", "cancelled"];
+
 /** An answer of 400 or more, or none at all. */
 export class Problem extends Error {
   constructor(status, told, retryAfter = null) {

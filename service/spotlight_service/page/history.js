@@ -8,7 +8,6 @@ import { NOTHING, byId, display, element, seconds, tell } from "./ui.js";
 const SHOWN = 40;
 const THUMB = 176; // pixels of the longer side
 const WORDS = { queued: "Waiting", running: "Being made", failed: "Failed", cancelled: "Cancelled" };
-const ENDS = ["done", "failed", "cancelled"];
 
 export class History {
   /** @param {(job) => void} opened */
@@ -33,7 +32,7 @@ export class History {
   /** Take note of a job, or of how it stands now; an answer that an event overtook revives nothing. */
   put(job) {
     const before = this.jobs.get(job.id);
-    if (ENDS.includes(before?.state) && !ENDS.includes(job.state)) return;
+    if (api.ENDS.includes(before?.state) && !api.ENDS.includes(job.state)) return;
     this.jobs.set(job.id, job);
     let item = this.items.get(job.id);
     if (!item) {

@@ -81,7 +81,7 @@ export class Run {
       this.job = data;
       this.told(data);
       this.then.changed(data);
-    } else if (["done", "failed", "cancelled"].includes(kind)) {
+    } else if (api.ENDS.includes(kind)) {
       this.ended();
       this.then.changed(data);
       if (kind === "done") this.then.done(data);

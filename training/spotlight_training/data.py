@@ -203,7 +203,7 @@ def draw_picture(
     maps["depth"] = cut("depth")
     mask = cut("object_mask") / np.float32(255.0)
     radiance = _light(scene, rng, cut, mask)
-    bright = float(np.percentile(radiance[::4, ::4].max(axis=2), 95))
+    bright = float(np.percentile(np.maximum.reduce(_channels(radiance[::4, ::4])), 95))
     exposure = np.clip(0.9 / max(bright, 1e-6), 0.25, 4.0) * np.exp(rng.normal(0.0, 0.2))
     image = np.clip(radiance * np.float32(exposure), 0.0, 1.0) ** np.float32(1 / 2.2)
     # Light is transported channel by channel, so any order of the channels is a true picture too.
@@ -252,10 +252,15 @@ def _light(scene: Any, rng: np.random.Generator, cut: Any, mask: FloatArray) -> 
     if rng.random() >= COMPOSITES:
         return radiance
     alone = lit("_background", chosen, weights)
-    ratio = np.clip((radiance.mean(axis=2) + 1e-4) / (alone.mean(axis=2) + 1e-4), 0.0, 1.0)
+    ratio = np.clip((sum(_channels(radiance)) + 3e-4) / (sum(_channels(alone)) + 3e-4), 0.0, 1.0)
     background = lit("_background", order[-count:], strengths())
     cover = mask[..., None]
     return cover * radiance + (1 - cover) * background * ratio[..., None]
+
+
+def _channels(image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Red, green and blue apart: NumPy reduces over a last axis of three slowly."""
+    return image[..., 0], image[..., 1], image[..., 2]
 
 
 class PictureData:
@@ -282,7 +287,10 @@ class RendererData:
         self._packed, self._spec, self._side = packed, spec, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Draw one sample: ``image`` (3, side, side) and ``conditioning`` (K, side, side)."""
+        """Draw one sample: ``image`` (3, side, side), ``conditioning`` (K, side, side), ``object``.
+
+        The last is the object's coverage in [0, 1], (1, side, side).
+        """
         picture = self._packed.draw(rng, self._side)
         hidden = random_mask(rng, picture.object_mask)
         return {
@@ -290,6 +298,7 @@ class RendererData:
             "conditioning": stack_maps(
                 self._spec, picture.maps, picture.image, picture.maps["albedo"], hidden
             ),
+            "object": picture.object_mask[None],
         }
 
 

@@ -109,8 +109,7 @@ def nudged(inputs: LoopInputs) -> LoopInputs:
     direction = np.random.default_rng(0).standard_normal(start.shape)
     size = NUDGE * np.linalg.norm(start) / np.linalg.norm(direction)
     moved = (start + size * direction).astype(inputs.initial_noise.dtype)
-    fields = {name: getattr(inputs, name) for name in LoopInputs.__dataclass_fields__}
-    return LoopInputs(**(fields | {"initial_noise": moved}))
+    return replace(inputs, initial_noise=moved)
 
 
 def relative_change(actual: FloatArray, expected: FloatArray) -> float:

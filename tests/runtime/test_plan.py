@@ -207,12 +207,11 @@ def test_predicted_calls_are_the_calls_made(counted, request):
 @given(requests())
 def test_predicted_calls_of_one_picture_a_light(counted, request):
     scene, lights, options = request
+    planned = counted.relighter.prepare(scene, lights, options=options).plan
     counted.calls.clear()
     results = counted.relighter.relight_each(scene, lights, options=options)
-    total = Counter()
-    for result in results:
-        total.update(result.plan.calls())
-    assert total == counted.calls
+    assert dict(counted.calls) == planned.calls()
+    assert sum(result.evaluations for result in results) == planned.evaluations
 
 
 @given(requests())
@@ -328,3 +327,16 @@ def test_tight_window_diffuses_less(counted, scene, shadow):
     assert outside.any()
     untouched = counted.relight(scene, np.zeros_like(shadow), denoise=False).image
     np.testing.assert_array_equal(tight.image[outside], untouched[outside])
+
+
+def test_lights_with_like_loops_share_calls(counted, scene, shadow, negative):
+    lights = [GuidingShadow(shadow, negative), GuidingShadow(negative, shadow)]
+    lights = [*lights, GuidingShadow(shadow, shadow), *lights]  # the third has no negative branch
+    options = RelightOptions(denoise=False, steps=3, batch_branches=True)
+    planned = counted.relighter.prepare(scene, lights, options=options).plan
+    assert planned.together == [range(2), range(2, 3), range(3, 5)]
+    assert planned.evaluations == 3 + 4 * 6 + 3
+    counted.relight(scene, lights, options=options)
+    assert counted.calls["denoiser"] == 3 + 3 * 3
+    apart = replace(options, batch_branches=False)
+    assert len(counted.relighter.prepare(scene, lights, options=apart).plan.together) == 5

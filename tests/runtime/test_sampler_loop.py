@@ -1,6 +1,6 @@
 """The loop: a generator over plain functions, and what SpotLight adds to it."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -38,6 +38,12 @@ def make_inputs(branches=2, steps=5, seed=0):
         initial_noise=normal(1, *LATENT),
         step_noise=normal(max(steps - 1, 1), *LATENT),
     )
+
+
+def arrays_of(inputs):
+    """Its arrays by name."""
+    found = {field.name: getattr(inputs, field.name) for field in fields(inputs)}
+    return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
 
 
 def last(trajectory):
@@ -202,10 +208,40 @@ def test_rescale_changes_the_object():
 
 def test_inputs_are_left_alone():
     inputs = make_inputs()
-    for name in LoopInputs.__dataclass_fields__:
-        getattr(inputs, name).setflags(write=False)
+    for value in arrays_of(inputs).values():
+        value.setflags(write=False)
     for name in ("ddim", "dpmpp_2m", "unipc"):
         last(shadow_guided(network, inputs, solver_of(5, name)))
+
+
+@pytest.mark.parametrize("solver", ["ddim", "dpmpp_2m", "unipc"])
+@pytest.mark.parametrize("fidelity", ["paper", "release"])
+def test_lights_together_are_each_as_alone(solver, fidelity):
+    def alike(z, timestep):
+        return np.sin(2 * z + np.float32(1e-3 * timestep))
+
+    def run(inputs):
+        return last(
+            shadow_guided(
+                alike,
+                inputs,
+                solver_of(5, solver),
+                gamma=5.0,
+                beta=0.3,
+                guidance_rescale=0.5,
+                fidelity=fidelity,
+                branches=lambda index: 2 if index in (1, 2) else 1,
+            )
+        )
+
+    one = make_inputs()
+    others = [arrays_of(make_inputs(seed=seed)) for seed in (1, 2)]
+    shared = {n: getattr(one, n) for n in ("guidance_mask", "initial_noise", "step_noise")}
+    three = [one, *(LoopInputs(**(other | shared)) for other in others)]
+    together = run(LoopInputs.joined(three))
+    for number, inputs in enumerate(three):
+        np.testing.assert_array_equal(together[number::3], run(inputs))
+    assert not np.array_equal(together[0], together[1])
 
 
 @pytest.mark.parametrize(
@@ -237,5 +273,5 @@ def test_three_branches_are_named():
         name: np.repeat(getattr(inputs, name)[:1], 3, axis=0)
         for name in ("conditioning", "composite_latents", "shadow_mask")
     }
-    with pytest.raises(ShapeError, match="conditioning: expected 1 or 2 branches, got 3"):
+    with pytest.raises(ShapeError, match="conditioning: expected 1 or 2 branches a light, got 3"):
         replace(inputs, **tripled)

@@ -5,14 +5,15 @@ cancel; progress bars, previews and server events are what a caller does between
 meaning of the network, ``v = predict(latents, timestep)``.
 
 `shadow_guided` is SpotLight: the same loop over two branches that share their noise, with masked
-guidance and shadow blending. It takes ready arrays (`LoopInputs`) and draws no random number, so
+guidance and shadow blending; of several lights at once, where a call costs less for being shared.
+It takes ready arrays (`LoopInputs`) and draws no random number, so
 another implementation's trajectory can be replayed and compared number for number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -44,7 +45,7 @@ class Step:
     timestep : int
         Train timestep the network was asked at.
     latents : ndarray of float32, shape (branches, C, h, w)
-        Latents after the step (and, but for the last step, after blending); branch 0 is positive.
+        Latents after the step (and, but for the last step, after blending); positive first.
     denoised : ndarray of float32, shape (branches, C, h, w)
         x0 predicted at this step: decode it for a preview.
     """
@@ -62,7 +63,8 @@ class LoopInputs:
     Attributes
     ----------
     conditioning : ndarray of float32, shape (branches, K, H, W)
-        Conditioning maps, positive branch first; one branch means no guidance.
+        Conditioning maps: the positive branch of each light, then the negative of each; no more
+        branches than lights means no guidance.
     composite_latents : ndarray of float32, shape (branches, C, h, w)
         Scaled latents Z of the rough composites (posterior mean or sample).
     shadow_mask : ndarray of float32, shape (branches, 1, h, w)
@@ -73,6 +75,8 @@ class LoopInputs:
         Starting latents, shared by the branches.
     step_noise : ndarray of float32, shape (steps − 1, C, h, w) or (1, C, h, w)
         Noise of each blend, shared by the branches; one array serves all steps.
+    lights : int
+        How many lights the branches are of.
     """
 
     conditioning: FloatArray
@@ -81,6 +85,7 @@ class LoopInputs:
     guidance_mask: FloatArray
     initial_noise: FloatArray
     step_noise: FloatArray
+    lights: int = 1
 
     def __post_init__(self) -> None:
         branches = self.conditioning.shape[0]
@@ -94,10 +99,21 @@ class LoopInputs:
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ShapeError(f"{name}: expected {shape}, got {getattr(self, name).shape}")
-        if branches not in (1, 2):
-            raise ShapeError(f"conditioning: expected 1 or 2 branches, got {branches}")
+        if branches not in (self.lights, 2 * self.lights):
+            raise ShapeError(f"conditioning: expected 1 or 2 branches a light, got {branches}")
         if self.step_noise.shape[1:] != latent:
             raise ShapeError(f"step_noise: expected (n, *{latent}), got {self.step_noise.shape}")
+
+    @classmethod
+    def joined(cls, lights: Sequence[LoopInputs]) -> LoopInputs:
+        """Those of several lights as one, for lights that share guidance mask and noise."""
+        first, branches = lights[0], range(len(lights[0].conditioning))
+
+        def stacked(name: str) -> FloatArray:
+            return np.stack([getattr(each, name)[i] for i in branches for each in lights])
+
+        arrays = {n: stacked(n) for n in ("conditioning", "composite_latents", "shadow_mask")}
+        return replace(first, **arrays, lights=len(lights))
 
 
 def sample(
@@ -119,12 +135,12 @@ def sample(
     solver : Solver
         A fresh solver; its schedule sets the steps.
     combine : callable, optional
-        Makes of several branches' predictions the one that steps them all.
+        Makes of the predictions of the branches that were evaluated what steps them all.
     blend : callable, optional
         ``blend(index, latents)`` after every step but the last: what is blended last could no
         longer be refined.
     branches : callable, optional
-        ``branches(index)`` → how many are evaluated at a step: one steps them all.
+        ``branches(index)`` → how many are evaluated at a step.
 
     Yields
     ------
@@ -145,7 +161,7 @@ def sample(
             raise NumericalError(f"{where}: {error}") from error
         require_finite(v, f"{where}: the network's prediction")
         with np.errstate(over="ignore", invalid="ignore"):  # an error below, not a warning first
-            if combine is not None and len(v) > 1:
+            if combine is not None:
                 v = combine(v)
                 require_finite(v, f"{where}: the guided prediction", SMALLER)
             latents, denoised = solver.step(index, latents, v)
@@ -186,14 +202,15 @@ def shadow_guided(
         Noise level of the blend: that of the latents it is blended into (paper, eq. 1), or of the
         step's own t, one level noisier (the public release).
     branches : callable, optional
-        ``branches(index)`` → 2 where the branches are contrasted, 1 where the negative one is left
-        out; by default they always are.
+        ``branches(index)`` → 2 where a light's branches are contrasted, 1 where the negative one is
+        left out; by default they always are.
 
     Yields
     ------
     Step
     """
-    count, blends = inputs.conditioning.shape[0], len(solver.schedule) - 1
+    count, lights = inputs.conditioning.shape[0], inputs.lights
+    blends = len(solver.schedule) - 1
     if beta > 0.0 and len(inputs.step_noise) not in (1, blends) and blends > 0:
         raise ShapeError(
             f"step_noise: expected 1 or {blends} arrays for {blends + 1} steps, "
@@ -202,8 +219,13 @@ def shadow_guided(
     latents = np.repeat(inputs.initial_noise, count, axis=0)
 
     def combine(v: FloatArray) -> FloatArray:
-        guided = masked_guidance(v[:1], v[1:], inputs.guidance_mask, gamma)
-        return rescale_guidance(guided, v[:1], inputs.guidance_mask, guidance_rescale)
+        positive, negative, mask = v[:lights], v[lights:], inputs.guidance_mask
+        if len(negative):
+            guided = masked_guidance(positive, negative, mask, gamma)
+            pairs = zip(np.split(guided, lights), np.split(positive, lights))
+            each = [rescale_guidance(g, p, mask, guidance_rescale) for g, p in pairs]
+            positive = np.concatenate(each)
+        return np.concatenate([positive, positive])
 
     def blend(index: int, z: FloatArray) -> FloatArray:
         level = index if fidelity == "release" else index + 1
@@ -215,7 +237,7 @@ def shadow_guided(
         predict,
         latents,
         solver,
-        combine if count == 2 else None,
+        combine if count > lights else None,
         blend if beta > 0.0 and inputs.shadow_mask.any() else None,
-        branches,
+        None if branches is None else lambda index: lights * branches(index),
     )

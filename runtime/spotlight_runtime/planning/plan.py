@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from itertools import groupby
+from typing import Any, Final, Literal
 
 __all__ = ["Effect", "GuidedPass", "PlainPass", "Plan"]
+
+TOGETHER: Final = 2
+"""Lights in one call, at most: from four branches on, more of them make a call no cheaper."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,7 @@ class Plan:
     plain : PlainPass
     effects : tuple of Effect
     batched : bool
-        Whether both branches go through the network in one call.
+        Whether both branches go through the network in one call, and two lights' likewise.
     name : str
         ``exact``, ``balanced``, ``draft``, or ``custom``.
     """
@@ -162,6 +166,18 @@ class Plan:
         return len(self.passes) + (self.plain.source == "run")
 
     @property
+    def together(self) -> list[range]:
+        """Which lights go through the network together, in order: neighbours with like loops."""
+        if not self.batched:
+            return [range(n, n + 1) for n in range(len(self.passes))]
+        found, start = [], 0
+        for _, alike in groupby(self.passes, key=lambda p: replace(p, encoded=(p.branches == 2,))):
+            stop = start + len(list(alike))
+            found += [range(n, min(n + TOGETHER, stop)) for n in range(start, stop, TOGETHER)]
+            start = stop
+        return found
+
+    @property
     def seconds(self) -> float | None:
         """Predicted time of it all; None where the machine has not been measured."""
         known = [effect.seconds for effect in self.effects if effect.seconds is not None]
@@ -175,18 +191,23 @@ class Plan:
         for each in self.passes:
             count["vae_encoder"] += sum(each.encoded)
             count["condition_encoder"] += each.branches
+            count["vae_decoder"] += 1
+        for lights in self.together:
+            each = self.passes[lights[0]]
             positive, negative = each.shallow
             whole = each.steps - positive, each.contrasts - negative
             count["denoiser"] += whole[0] + (0 if self.batched else whole[1])
             count["denoiser_shallow"] += positive + (0 if self.batched else negative)
-            count["vae_decoder"] += 1
         if self.plain.source == "run":
             count["condition_encoder"] += 1
             count["vae_decoder"] += 1
         return {graph: number for graph, number in count.items() if number}
 
     def only(self, number: int, *, first: bool) -> Plan:
-        """The same for one of its lights; the pass without shadow belongs to the first."""
+        """The same for one of its lights; the pass without shadow belongs to the first.
+
+        Calls that two lights shared are in each one's account.
+        """
         plain = self.plain
         if not first and plain.source == "run":
             plain = replace(plain, source="remembered")

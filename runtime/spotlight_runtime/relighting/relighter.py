@@ -13,6 +13,8 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack
 
+import numpy as np
+
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.conditioning import KnownMaps
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
@@ -291,8 +293,8 @@ class Relighter:
             inputs = [self._inputs(task, number, known) for number in range(task.lights)]
             self._release("vae_encoder")
         latents = []
-        for number, each in enumerate(inputs):
-            latents.append((yield from self._guided(task, number, each)))
+        for lights in task.plan.together:
+            latents += yield from self._guided(task, lights, inputs[lights.start : lights.stop])
         plain = yield from self._plain(task, known, inputs[0].initial_noise)
         self._release("condition_encoder", *EVERY_STEP)
         predicted = [self._develop(task, z) for z in latents]
@@ -308,16 +310,17 @@ class Relighter:
         no_shadow: FloatArray | None = None
         with task.stopwatch.stage("encode"):
             known = KnownMaps.of(self.spec, task.prepared.view)
-        for number in range(task.lights):
+        for lights in task.plan.together:
             with task.stopwatch.stage("encode"):
-                inputs = self._inputs(task, number, known)
-            latents = yield from self._guided(task, number, inputs)
-            predicted = self._develop(task, latents)
-            if no_shadow is None:
-                plain = yield from self._plain(task, known, inputs.initial_noise)
-                no_shadow = self._no_shadow(task, plain, predicted)
-            alone = task.only(number)
-            yield result(self.spec, alone, [predicted], no_shadow, self._model)
+                inputs = [self._inputs(task, number, known) for number in lights]
+            latents = yield from self._guided(task, lights, inputs)
+            for number, each in zip(lights, latents):
+                predicted = self._develop(task, each)
+                if no_shadow is None:
+                    plain = yield from self._plain(task, known, inputs[0].initial_noise)
+                    no_shadow = self._no_shadow(task, plain, predicted)
+                alone = task.only(number)
+                yield result(self.spec, alone, [predicted], no_shadow, self._model)
         self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
 
     def preview_of(self, progress: Progress) -> FloatArray:
@@ -391,14 +394,16 @@ class Relighter:
         return loop_inputs(self._networks, self.spec, view, shadows, task.options, planned, known)
 
     def _guided(
-        self, task: Task, number: int, inputs: LoopInputs
-    ) -> Generator[Progress, None, FloatArray]:
-        planned = task.plan.passes[number]
+        self, task: Task, lights: range, inputs: Sequence[LoopInputs]
+    ) -> Generator[Progress, None, list[FloatArray]]:
+        """Final latents (1, C, h, w) of each of the lights."""
+        planned = task.plan.passes[lights.start]
         with task.stopwatch.stage("condition"):
             trajectory = passes.guided_pass(
-                self._networks, self.spec, inputs, task.options, planned
+                self._networks, self.spec, LoopInputs.joined(inputs), task.options, planned
             )
-        return (yield from task.drain(trajectory, "relight", number, planned.steps))
+        latents = yield from task.drain(trajectory, "relight", lights, planned.steps)
+        return np.split(latents[: len(lights)], len(lights))
 
     def _plain(
         self, task: Task, known: KnownMaps, noise: FloatArray
@@ -411,7 +416,7 @@ class Relighter:
             trajectory = passes.plain_pass(
                 self._networks, self.spec, known, noise, solver, planned.steps, planned.reuse
             )
-        return (yield from task.drain(trajectory, "no shadow", 0, planned.steps))
+        return (yield from task.drain(trajectory, "no shadow", range(1), planned.steps))
 
     def _no_shadow(self, task: Task, plain: FloatArray | None, relit: FloatArray) -> FloatArray:
         """The picture without shadow, from wherever the plan has it; remembered from now on."""

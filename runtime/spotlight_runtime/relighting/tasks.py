@@ -86,7 +86,7 @@ class Task:
         return replace(self, prepared=self.prepared.only(number), plan=plan)
 
     def drain(
-        self, trajectory: Iterator[Step], stage: PassName, light: int, steps: int
+        self, trajectory: Iterator[Step], stage: PassName, lights: range, steps: int
     ) -> Generator[Progress, None, FloatArray]:
         """Yield progress of a pass and return its final latents; the caller's time is not counted.
 
@@ -94,10 +94,15 @@ class Task:
         ----------
         trajectory : iterator of Step
         stage : {"relight", "no shadow"}
-        light : int
-            Which light the pass is for.
+        lights : range
+            Which lights the pass is for; each is told of at every step.
         steps : int
             How many it has.
+
+        Returns
+        -------
+        ndarray of float32, shape (branches, C, h, w)
+            As `Step` has them.
 
         Raises
         ------
@@ -109,9 +114,13 @@ class Task:
                 try:
                     step = next(trajectory)
                 except NumericalError as error:
-                    of = f" of light {light + 1}" if self.lights > 1 else ""
+                    which = " or ".join(str(light + 1) for light in lights)
+                    of = f" of light {which}" if self.lights > 1 else ""
                     raise NumericalError(f"pass '{stage}'{of}, {error}") from error
-            yield Progress(stage, step, steps, light, self.lights, self.prepared.window)
+            for light in lights:
+                own = slice(light - lights.start, None, len(lights))
+                seen = replace(step, latents=step.latents[own], denoised=step.denoised[own])
+                yield Progress(stage, seen, steps, light, self.lights, self.prepared.window)
             if step.index == steps - 1:
                 return step.latents
 

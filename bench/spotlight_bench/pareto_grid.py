@@ -5,6 +5,7 @@ the branches are contrasted, steps of the pass without shadow, steps that share 
 window. Combinations that come to the same plan (half of two steps and half of three, rounded) are
 one candidate. Every saving is combined with all solvers and steps; of guidance in some steps,
 shared features and another window only one at a time, for they save the same evaluations or none.
+Of few steps in a coarse window, which leave little else to save, guidance in some is tried.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from spotlight_runtime import RelightOptions
 __all__ = ["EXACT", "FULL", "QUICK", "Candidate", "Grid", "candidates"]
 
 EXACT: Final = "exact"
+FEW: Final = 4
+"""Steps in which guidance in some of them goes with a coarse window, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Candidate:
     Attributes
     ----------
     name : str
-        ``exact``, or what it does: ``unipc-6-g50-p3-tight``.
+        ``exact``, or what it does: ``unipc-6-p3-tight``.
     options : dict
         Fields of `RelightOptions` that differ from the exact plan's.
     model : str
@@ -48,6 +51,11 @@ class Candidate:
     def apply(self, base: RelightOptions) -> RelightOptions:
         """The options it runs with."""
         return replace(base, **self.options)
+
+
+LATER: Final = (1 / 3, 1.0)
+"""Steps to contrast the branches in: in the first of few the shadow is not in the latents yet, and
+both branches know the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +86,7 @@ class Grid:
 FULL: Final = Grid(
     solvers=("ddim", "dpmpp_2m", "unipc"),
     steps=(20, 12, 8, 6, 4, 3, 2, 1),
-    intervals=((0.0, 1.0), (0.0, 0.5)),
+    intervals=((0.0, 1.0), LATER),
     plain=(1.0, 0.5, 0.25),
     windows=("auto", "tight", "coarse"),
     reuses=(1, 2, 3),
@@ -86,7 +94,7 @@ FULL: Final = Grid(
 QUICK: Final = Grid(
     solvers=("ddim", "unipc"),
     steps=(12, 6, 4, 2, 1),
-    intervals=((0.0, 1.0), (0.0, 0.5)),
+    intervals=((0.0, 1.0), LATER),
     plain=(1.0, 0.5),
     windows=("auto",),
     reuses=(1, 3),
@@ -143,14 +151,15 @@ def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]
         # Contrasted in no step at all, the light would not steer the object's shading.
         unguided = first >= last
         another = solver != "ddim" and steps == 1  # all solvers take one step alike
-        savings = ((first, last) != (0, steps), reuse > 1, window != "auto")
-        crossed = sum(savings) > 1
+        some, shared = (first, last) != (0, steps), reuse > 1
+        few = some and window == "coarse" and steps <= FEW and not shared
+        crossed = some + shared + (window != "auto") > 1 and not few
         if steps > own_steps or unguided or another or crossed or key in seen:
             continue
         seen.add(key)
         options: dict[str, Any] = {"solver": solver, "steps": steps}
         name = f"{solver}-{steps}"
-        if (first, last) != (0, steps):
+        if some:
             options["guidance_interval"] = list(interval)
             low, high = (round(100 * end) for end in interval)
             name += f"-g{high}" if low == 0 else f"-g{low}to{high}"

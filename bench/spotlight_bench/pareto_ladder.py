@@ -26,8 +26,9 @@ FOLLOWING_LOSS: Final = 2.0
 def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
     """Name the rungs among points whose front is marked.
 
-    ``balanced`` is the most accurate at a quarter of the exact plan's time or less, ``draft`` at a
-    twelfth; where none is that fast, the fastest. Where both are one point, it stands twice.
+    ``balanced`` is the most faithful at a quarter of the exact plan's time or less of those that
+    lose no more than it may, ``draft`` at a twelfth; where all lose more, the most faithful, and
+    where none is that fast, the fastest. Where both are one point, it stands twice.
 
     Parameters
     ----------
@@ -50,8 +51,8 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
         raise ResultsError("ladder: expected savings on the front, found the exact plan alone")
     falling = sorted(others, key=lambda point: (-point.fidelity, point.cost))
     balanced, draft = (
-        next((p for p in falling if p.cost <= share), falling[-1])
-        for share in (BALANCED_SHARE, DRAFT_SHARE)
+        _best(falling, share, loss)
+        for share, loss in ((BALANCED_SHARE, BALANCED_LOSS), (DRAFT_SHARE, DRAFT_LOSS))
     )
     rungs, last = [replace(found[0], rung=EXACT)], found[0].cost
     for point in falling:
@@ -64,6 +65,13 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
             continue
         last = point.cost
     return tuple(rungs)
+
+
+def _best(falling: Sequence[Point], share: float, loss: float) -> Point:
+    """See `name_rungs`; ``falling`` in accuracy."""
+    quick = [point for point in falling if point.cost <= share] or [falling[-1]]
+    kept = (point for point in quick if point.loss_db is not None and point.loss_db <= loss)
+    return next(kept, quick[0])
 
 
 def ladder_record(found: Sequence[Point], measured: dict[str, Any]) -> dict[str, Any]:

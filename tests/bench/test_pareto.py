@@ -178,9 +178,25 @@ def test_models_without_reuse_have_a_ladder_of_their_own(tmp_path):
         assert "reuse" not in rung.options
 
 
+def test_named_plans_lose_no_more_than_they_may_where_one_does():
+    found = front(
+        [
+            point(1.0, 100.0, EXACT),
+            point(0.24, 32.0, "faithful", loss=0.2),
+            point(0.20, 30.0, "keeps", loss=0.05),
+            point(0.08, 20.0, "lossy", loss=0.7),
+            point(0.07, 19.0, "light", loss=0.5),
+        ]
+    )
+    by_rung = {each.rung: each.candidate.name for each in name_rungs(found)}
+    assert by_rung["balanced"] == "keeps"
+    assert by_rung["draft"] == "light"
+
+
 def test_claims_say_what_does_not_hold():
     lossy = point(0.2, 30.0, "lossy", loss=0.3)
-    rungs = name_rungs(front([point(1.0, 100.0, EXACT), lossy, point(0.05, 20.0, "fast")]))
+    fast = point(0.05, 20.0, "fast", loss=0.4)
+    rungs = name_rungs(front([point(1.0, 100.0, EXACT), lossy, fast]))
     found = {text.partition(" (")[0]: holds for text, holds in claims(rungs)}
     assert found == {
         "balanced: time ≤ 1/4 of exact": True,

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from support.scenes import make_scene, make_shadow
 
 from spotlight_runtime.relighting.window import (
+    COARSE,
     LARGEST_OBJECT,
     MARGIN,
     Window,
@@ -211,10 +212,10 @@ def test_shrinking_keeps_the_mean():
 
 
 @pytest.mark.parametrize("size", [(32, 32), (64, 96), (300, 200)])
-def test_a_coarse_window_is_a_tight_one_at_half_the_scale(size):
+def test_a_coarse_window_is_a_tight_one_at_a_smaller_scale(size):
     mask = blank(*size)
     mask[size[0] // 2 : size[0] // 2 + 12, 5:20] = 1.0
     tight, coarse = chosen(mask, mode="tight"), chosen(mask, mode="coarse")
     assert (coarse.top, coarse.left) == (tight.top, tight.left)
     assert (coarse.height, coarse.width) == (tight.height, tight.width)
-    assert coarse.size[0] * coarse.size[1] <= 1.3 * (SIZE // 2) ** 2
+    assert coarse.size[0] * coarse.size[1] <= 1.3 * (COARSE * SIZE) ** 2

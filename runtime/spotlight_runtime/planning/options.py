@@ -70,8 +70,8 @@ class RelightOptions:
         ``auto``: a photograph larger than the backbone was trained at is diffused in a window
         around object and shadow, at the backbone's scale, and put back sharp. ``frame``: always
         all of it at its own scale, whatever time and memory that takes. ``tight``: no more than
-        object, shadows and a margin, of a small photograph too. ``coarse``: the same at half of the
-        backbone's scale, for one that has learned to see at it, as the mini has.
+        object, shadows and a margin, of a small photograph too. ``coarse``: the same at 5/8 of the
+        backbone's scale, for one that has learned to see smaller, as the mini has.
     detail : {"auto", "renderer", "maps"}
         Whose detail the object shows. ``renderer``: the predicted pixels, as the paper does.
         ``maps``: the predicted shading on the object's own albedo and normals, sharper than any

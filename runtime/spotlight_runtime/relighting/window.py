@@ -28,6 +28,9 @@ MARGIN: Final = 0.1
 """Context on each side of object and shadows together, as a share of their longer side."""
 ENOUGH_CONTACT: Final = 0.5
 """A shrunken pixel touches the ground where at least this share of it does."""
+COARSE: Final = 5 / 8
+"""Of the backbone's own side, what a coarse window is diffused at. Two or three steps so are nearer
+to the truth than four at half the side, in less time."""
 SHORTEST_NORMAL: Final = 1e-6
 
 
@@ -93,7 +96,7 @@ def choose_window(
         All guiding shadows, positive and negative, that this window is to serve.
     mode : {"auto", "frame", "tight", "coarse"}
         ``frame``: the whole photograph at its own scale, whatever that costs. ``tight``: no more
-        than is needed, of a small photograph too. ``coarse``: the same, at half of ``size``.
+        than is needed, of a small photograph too. ``coarse``: the same, at `COARSE` of ``size``.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def choose_window(
     frame = (height, width)
     tight = mode in ("tight", "coarse")
     if mode == "coarse":
-        size //= 2
+        size = round(COARSE * size)
     if mode == "frame" or (height * width <= size * size and not tight):
         return Window.whole(frame)
     inserted = _box(object_mask > 0.0)

@@ -37,11 +37,12 @@ def main() -> None:
     from spotlight_bench.budgets import budgets
     from spotlight_bench.combinations_command import combinations
     from spotlight_bench.evaluate_command import evaluate
+    from spotlight_bench.further_lights import further_lights
     from spotlight_bench.pareto_command import pareto
     from spotlight_bench.peers_command import peers
     from spotlight_bench.stability_command import stability
 
-    for command in (evaluate, combinations, pareto, budgets, peers, stability):
+    for command in (evaluate, combinations, pareto, budgets, further_lights, peers, stability):
         app.command()(command)
     try:
         app()

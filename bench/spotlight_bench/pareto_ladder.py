@@ -28,7 +28,8 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
 
     ``balanced`` is the most faithful at a quarter of the exact plan's time or less of those that
     lose no more than it may, ``draft`` at a twelfth; where all lose more, the most faithful, and
-    where none is that fast, the fastest. Where both are one point, it stands twice.
+    where none is that fast, the fastest. Where both are one point, it stands twice. Where a busy
+    clock finds nothing faster than the exact plan, the front is that of the savings alone.
 
     Parameters
     ----------
@@ -43,12 +44,13 @@ def name_rungs(found: Sequence[Point]) -> tuple[Point, ...]:
     Raises
     ------
     ResultsError
-        If there is nothing but the exact plan.
+        If there is no saving at all.
     """
     own = found[0].candidate.model
-    others = [p for p in found if p.front and p.candidate.model == own and p.candidate.options]
-    if not others:
-        raise ResultsError("ladder: expected savings on the front, found the exact plan alone")
+    savings = [p for p in found if p.candidate.model == own and p.candidate.options]
+    if not savings:
+        raise ResultsError("ladder: expected savings, found the exact plan alone")
+    others = [p for p in savings if p.front] or [p for p in front(savings) if p.front]
     falling = sorted(others, key=lambda point: (-point.fidelity, point.cost))
     balanced, draft = (
         _best(falling, share, loss)

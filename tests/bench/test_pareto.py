@@ -15,6 +15,7 @@ from support.onnx_backbone import tiny_spec, write_backbone
 from typer.testing import CliRunner
 
 from spotlight_bench import metrics
+from spotlight_bench.errors import ResultsError
 from spotlight_bench.pareto import directions_of, psnr
 from spotlight_bench.pareto_command import pareto
 from spotlight_bench.pareto_grid import EXACT, FULL, QUICK, Candidate, Grid, candidates
@@ -176,6 +177,15 @@ def test_models_without_reuse_have_a_ladder_of_their_own(tmp_path):
     assert [rung.options for rung in read_ladder(path=path)][-1] == {"reuse": 3}
     for rung in read_ladder(reusable=False, path=path):
         assert "reuse" not in rung.options
+
+
+def test_a_busy_clock_does_not_lose_the_ladder():
+    slower = [point(1.2, 40.0, "slower"), point(1.1, 30.0, "slow"), point(1.3, 20.0, "worst")]
+    rungs = name_rungs(front([point(1.0, 100.0, EXACT), *slower]))
+    assert [each.candidate.name for each in rungs][0] == EXACT
+    assert {each.candidate.name for each in rungs[1:]} == {"slow"}
+    with pytest.raises(ResultsError, match="expected savings"):
+        name_rungs(front([point(1.0, 100.0, EXACT)]))
 
 
 def test_named_plans_lose_no_more_than_they_may_where_one_does():

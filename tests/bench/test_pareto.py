@@ -182,7 +182,7 @@ def test_models_without_reuse_have_a_ladder_of_their_own(tmp_path):
 def test_a_busy_clock_does_not_lose_the_ladder():
     slower = [point(1.2, 40.0, "slower"), point(1.1, 30.0, "slow"), point(1.3, 20.0, "worst")]
     rungs = name_rungs(front([point(1.0, 100.0, EXACT), *slower]))
-    assert [each.candidate.name for each in rungs][0] == EXACT
+    assert rungs[0].candidate.name == EXACT
     assert {each.candidate.name for each in rungs[1:]} == {"slow"}
     with pytest.raises(ResultsError, match="expected savings"):
         name_rungs(front([point(1.0, 100.0, EXACT)]))

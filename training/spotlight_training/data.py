@@ -287,10 +287,7 @@ class RendererData:
         self._packed, self._spec, self._side = packed, spec, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Draw one sample: ``image`` (3, side, side), ``conditioning`` (K, side, side), ``object``.
-
-        The last is the object's coverage in [0, 1], (1, side, side).
-        """
+        """Draw one sample: ``image`` (3, side, side) and ``conditioning`` (K, side, side)."""
         picture = self._packed.draw(rng, self._side)
         hidden = random_mask(rng, picture.object_mask)
         return {
@@ -298,7 +295,6 @@ class RendererData:
             "conditioning": stack_maps(
                 self._spec, picture.maps, picture.image, picture.maps["albedo"], hidden
             ),
-            "object": picture.object_mask[None],
         }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,7 +25,6 @@ __all__ = ["TrainingOptions", "train"]
 
 Batch = dict[str, Tensor]
 Draw = Callable[[np.random.Generator], dict[str, Any]]
-WEIGHT_DECAY: Final = 1e-4
 PRINT_EVERY: Final = 50
 """Steps between lines where no terminal shows the bar."""
 
@@ -93,7 +92,6 @@ def train(
     options: TrainingOptions,
     sheet: Callable[[nn.Module, Path], None],
     coarse: Draw | None = None,
-    matrices: Sequence[nn.Parameter] = (),
 ) -> nn.Module:
     """Train, or continue the run found in ``run``.
 
@@ -112,8 +110,6 @@ def train(
         ``sheet(averaged_model, path)`` draws what the model does on held-out samples.
     coarse : callable, optional
         As ``draw``, at half the side.
-    matrices : sequence of Parameter
-        Weights that Muon steps; AdamW steps the others.
 
     Returns
     -------
@@ -131,7 +127,7 @@ def train(
     model.to(device)
     averaged = _frozen_copy(model)
     trained = [p for p in model.parameters() if p.requires_grad]
-    optimiser = _Optimiser(trained, matrices, options.learning_rate)
+    optimiser = torch.optim.AdamW(trained, lr=options.learning_rate, weight_decay=1e-4)
     start = _resume(run, model, averaged, optimiser, device)
     deadline = None if options.minutes is None else time.monotonic() + 60.0 * options.minutes
     log = _Log(run, start)
@@ -141,15 +137,17 @@ def train(
         for step in range(start, options.steps):
             generator = torch.Generator(device).manual_seed(options.seed * 1_000_003 + step)
             batch = {k: v.to(device, non_blocking=True) for k, v in batches.take().items()}
+            for group in optimiser.param_groups:
+                group["lr"] = _learning_rate(step, options)
             with torch.autocast(device.type, torch.bfloat16, enabled=half):
                 terms = loss(model, batch, generator)
             total = torch.stack([term.float() for term in terms.values()]).sum()
             if not torch.isfinite(total):
                 raise FloatingPointError(f"step {step}: the loss is {float(total)}; terms {terms}")
-            model.zero_grad(set_to_none=True)
+            optimiser.zero_grad(set_to_none=True)
             total.backward()
             nn.utils.clip_grad_norm_(trained, 1.0)
-            optimiser.step(_learning_rate(step, options))
+            optimiser.step()
             _average(averaged, model, min(options.ema, (1 + step) / (10 + step)))
             log.add(step, terms)
             bar.update(task, advance=1, description=f"loss {log.recent:.4f}")
@@ -190,7 +188,7 @@ def _average(averaged: nn.Module, model: nn.Module, decay: float) -> None:
 
 
 def _save(
-    run: Path, model: nn.Module, averaged: nn.Module, optimiser: _Optimiser, steps_done: int
+    run: Path, model: nn.Module, averaged: nn.Module, optimiser: Any, steps_done: int
 ) -> None:
     state = {
         "model": model.state_dict(),
@@ -204,7 +202,7 @@ def _save(
 
 
 def _resume(
-    run: Path, model: nn.Module, averaged: nn.Module, optimiser: _Optimiser, device: torch.device
+    run: Path, model: nn.Module, averaged: nn.Module, optimiser: Any, device: torch.device
 ) -> int:
     path = run / "checkpoint.pt"
     if not path.is_file():
@@ -214,49 +212,6 @@ def _resume(
     averaged.load_state_dict(state["averaged"])
     optimiser.load_state_dict(state["optimiser"])
     return int(state["steps_done"])
-
-
-class _Optimiser:
-    """AdamW, and Muon (Jordan et al. 2024) for the matrices among the weights.
-
-    Muon takes two-dimensional parameters: it is given views, which share memory with weights of
-    any shape. Its steps are scaled to AdamW's size, so that one learning rate serves both.
-    """
-
-    def __init__(
-        self, trained: Sequence[nn.Parameter], matrices: Sequence[nn.Parameter], rate: float
-    ) -> None:
-        chosen = {id(p) for p in matrices}
-        rest = [p for p in trained if id(p) not in chosen]
-        self._views = [(p, nn.Parameter(p.detach().flatten(1))) for p in matrices]
-        self._parts: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW(rest, lr=rate, weight_decay=WEIGHT_DECAY)
-        ]
-        if matrices:
-            views = [view for _, view in self._views]
-            self._parts.append(
-                torch.optim.Muon(
-                    views, lr=rate, weight_decay=WEIGHT_DECAY, adjust_lr_fn="match_rms_adamw"
-                )
-            )
-
-    def step(self, rate: float) -> None:
-        """Step by the parameters' gradients."""
-        for weight, view in self._views:
-            view.grad = None if weight.grad is None else weight.grad.flatten(1)
-        for part in self._parts:
-            for group in part.param_groups:
-                group["lr"] = rate
-            part.step()
-
-    def state_dict(self) -> list[dict[str, Any]]:
-        """What `load_state_dict` takes."""
-        return [part.state_dict() for part in self._parts]
-
-    def load_state_dict(self, states: list[dict[str, Any]]) -> None:
-        """Go on as the optimiser whose state this was."""
-        for part, state in zip(self._parts, states, strict=True):
-            part.load_state_dict(state)
 
 
 class _Prefetcher:

@@ -17,7 +17,7 @@ from spotlight_runtime.diffusion.sampler import sample
 from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
 from spotlight_runtime.diffusion.solvers import make_solver
 from spotlight_spec import BackboneSpec
-from spotlight_training.networks import PATCH, VAE, ConditionEncoder, Denoiser
+from spotlight_training.networks import VAE, ConditionEncoder, Denoiser
 
 __all__ = [
     "Renderer",
@@ -37,9 +37,6 @@ GRADIENT_WEIGHT = 1.0
 PERTURBATION = 0.15
 """Share of the noise by which latents are noisier than the renderer is told. Its own steps leave
 such noise behind, and one that believes it paints objects mottled (Ning et al. 2023)."""
-OBJECT_WEIGHT = 2.0
-"""How much more the object counts than the rest, of which hidden floor would be the most: what is
-asked of the renderer is the object's light."""
 
 
 class Renderer(nn.Module):
@@ -48,10 +45,6 @@ class Renderer(nn.Module):
     def __init__(self, vae: VAE, condition: ConditionEncoder, denoiser: Denoiser) -> None:
         super().__init__()
         self.vae, self.condition, self.denoiser = vae.requires_grad_(False), condition, denoiser
-
-    def matrices(self) -> list[nn.Parameter]:
-        """The 1×1 convolutions of the denoiser's deep part: nearly all of its weights."""
-        return [p for p in self.denoiser.deep.parameters() if p.ndim == 4 and p.shape[1] > 1]
 
 
 def vae_loss(model: nn.Module, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
@@ -75,8 +68,7 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
 
     Channels count by the square root of their share in the picture: the first components of a
     patch are its light, the last hardly visible texture. Timesteps count by σ, half way between
-    an error of v and one of x₀: nearly clean latents have little left to decide. Places count by
-    `OBJECT_WEIGHT`.
+    an error of v and one of x₀: nearly clean latents have little left to decide.
     """
     alpha_bar = torch.from_numpy(alphas_cumprod(spec.schedule)).float()
 
@@ -95,9 +87,7 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
         target = level.sqrt() * noise - (1 - level).sqrt() * x0
         v = model.denoiser(noisy, t, model.condition(batch["conditioning"]))
         shares = model.vae.synthesis[0].weight.float().square().sum(dim=(0, 2, 3)).sqrt().sqrt()
-        covered = functional.avg_pool2d(batch["object"], PATCH)
-        weight = level.sub(1).neg().sqrt() * (1 + (OBJECT_WEIGHT - 1) * covered)
-        error = (weight * (v.float() - target).square()).mean(dim=(0, 2, 3))
+        error = (level.sub(1).neg().sqrt() * (v.float() - target).square()).mean(dim=(0, 2, 3))
         return {"v": (shares / shares.mean() * error).mean()}
 
     return loss

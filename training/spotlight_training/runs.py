@@ -143,7 +143,6 @@ def train_renderer(
         options,
         renderer_sheet(samples, spec, options.device),
         coarse=RendererData(Packed(data), spec, side // 2),
-        matrices=network.matrices(),
     )
     save_run(
         run,

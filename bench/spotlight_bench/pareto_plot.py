@@ -54,8 +54,8 @@ def plot(found: Sequence[Point], rungs: Sequence[Point], files: Sequence[Path], 
         place = (100 * point.cost, point.fidelity)
         axes.plot(*place, "o", markersize=9, markerfacecolor="none", color=FRONT, zorder=4)
         axes.annotate(
-            f"{point.rung}\n{point.candidate.name}", place, xytext=(-10, 14 + 26 * number),
-            textcoords="offset points", color=FRONT, ha="right", fontsize=9, zorder=5,
+            f"{point.rung}\n{point.candidate.name}", place, xytext=(0, 14 + 26 * number),
+            textcoords="offset points", color=FRONT, ha="center", fontsize=9, zorder=5,
             arrowprops={"arrowstyle": "-", "color": FRONT, "linewidth": 0.6},
         )  # fmt: skip
     axes.set_xscale("log")

@@ -180,6 +180,13 @@ class BackboneSpec:
         return found
 
     @property
+    def own_sizes(self) -> dict[str, int]:
+        """Dynamic dimensions of its graphs for one branch of the square it was trained at."""
+        latent = self.size // self.latent.downscale
+        sides = {"latent_height": latent, "latent_width": latent}
+        return {"batch": 1, "height": self.size, "width": self.size} | sides
+
+    @property
     def conditioning_channels(self) -> int:
         """Channels of the conditioning array."""
         return sum(entry.channels for entry in self.maps)

@@ -13,6 +13,7 @@ from spotlight_runtime.errors import (
     MissingExtraError,
     ModelError,
 )
+from spotlight_runtime.networks.models import resolve_model
 from spotlight_runtime.networks.openvino import open_graph
 
 ONES = np.ones((1, 4, 2, 3), np.float32)
@@ -41,6 +42,23 @@ class TestWithIt:
             got = graph(x=2.0 * ones, y=3.0 * ones)
             assert list(got) == ["product"]
             np.testing.assert_array_equal(got["product"], 6.0 * ones)
+
+    def test_a_size_gives_the_same_whatever_was_asked_before(self, backbone):
+        folder = resolve_model(backbone)
+        sizes = folder.manifest.backbone.own_sizes | {"height": 64, "width": 64}
+        contract = folder.manifest.graph("vae_encoder")
+        rng = np.random.default_rng(0)
+        own, other = (rng.random((1, 3, 64, width), np.float32) for width in (64, 96))
+
+        def opened(**sizes):
+            return open_graph(folder.path, contract, precision="bf16", threads=1, **sizes)
+
+        one, two = opened(sizes=sizes), opened(sizes=sizes)
+        first, then = one(image=own), one(image=other)
+        np.testing.assert_array_equal(two(image=other)["latent_mean"], then["latent_mean"])
+        np.testing.assert_array_equal(two(image=own)["latent_mean"], first["latent_mean"])
+        any_size = opened()(image=own)["latent_mean"]
+        np.testing.assert_allclose(first["latent_mean"], any_size, atol=0.05)
 
     def test_what_a_graph_is_not_is_said(self, tmp_path):
         folder = write_product(tmp_path)

@@ -136,8 +136,12 @@ def open_networks(
     if engine == "onnxruntime":
         opener = partial(sessions.open_graph, providers=providers, threads=threads)
     elif engine in get_args(Engine):
-        half = engine == "openvino-bf16"
-        opener = partial(openvino.open_graph, precision="bf16" if half else "f32", threads=threads)
+        opener = partial(
+            openvino.open_graph,
+            precision="bf16" if engine == "openvino-bf16" else "f32",
+            threads=threads,
+            sizes=model.manifest.backbone.own_sizes,
+        )
     else:
         raise InvalidInputError(f"engine: expected {', '.join(get_args(Engine))}, got {engine!r}")
     return LazyNetworks(model, opener, stamps if verify_files else None)

@@ -7,7 +7,10 @@ full-size evaluation takes less than two thirds of ONNX Runtime's int8 (``bench/
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -27,17 +30,28 @@ _DTYPES: Final = {"f32": "float32", "i64": "int64"}
 
 
 class OpenVinoGraph:
-    """A compiled model behind its contract.
+    """A graph behind its contract, compiled when it is first run.
+
+    Compiled for a single size it is some 4 % quicker than for any, so it is compiled once for the
+    size it is meant for and once for all others, each where it is asked for: what a size gives does
+    not depend on what was asked before.
 
     Parameters
     ----------
-    compiled : openvino.CompiledModel
-        Injected; see `open_graph`.
+    compiled : callable
+        ``compiled(own)`` → the model, for the size it is meant for or for any; see `open_graph`.
     contract : GraphContract
+    own : dict of tuple of int
+        Shapes of the inputs at that size; empty where it is not known.
     """
 
-    def __init__(self, compiled: ov.CompiledModel, contract: GraphContract) -> None:
-        self._compiled = compiled
+    def __init__(
+        self,
+        compiled: Callable[[bool], ov.CompiledModel],
+        contract: GraphContract,
+        own: Mapping[str, tuple[int, ...]],
+    ) -> None:
+        self._compiled, self._lock, self._own = cache(compiled), Lock(), dict(own)
         self._name = contract.file_name
         self._outputs = [tensor.name for tensor in contract.outputs]
 
@@ -49,9 +63,12 @@ class OpenVinoGraph:
         ModelError
             If OpenVINO cannot run it on these inputs.
         """
+        own = {name: value.shape for name, value in inputs.items()} == self._own
         try:
+            with self._lock:
+                compiled = self._compiled(own)
             # A request of its own: callers in several threads do not share buffers.
-            found = self._compiled.create_infer_request().infer(inputs)
+            found = compiled.create_infer_request().infer(inputs)
             return {name: np.array(found[name], np.float32) for name in self._outputs}
         except (RuntimeError, TypeError, ValueError) as error:
             shapes = ", ".join(f"{k} {v.dtype}{list(v.shape)}" for k, v in inputs.items())
@@ -64,8 +81,9 @@ def open_graph(
     *,
     precision: OpenVinoPrecision,
     threads: int | None = None,
+    sizes: Mapping[str, int] | None = None,
 ) -> OpenVinoGraph:
-    """Compile a graph of a model folder.
+    """Open a graph of a model folder.
 
     Parameters
     ----------
@@ -76,6 +94,8 @@ def open_graph(
         computes in float32 all the same.
     threads : int, optional
         Threads of one inference; by default the CPUs of the cgroup.
+    sizes : dict of int, optional
+        Of the contract's dynamic dimensions, by name: the size the graph is meant for.
 
     Raises
     ------
@@ -100,16 +120,32 @@ def open_graph(
         "PERFORMANCE_HINT": "LATENCY",
     }
     path = folder / contract.file_name
+    core = ov.Core()
     try:
-        compiled = ov.Core().compile_model(str(path), "CPU", settings)
+        model = core.read_model(str(path))
     except RuntimeError as error:
         raise ModelError(f"{path}: OpenVINO cannot load the graph: {error}") from error
-    for expected, ports in (
-        (contract.inputs, compiled.inputs),
-        (contract.outputs, compiled.outputs),
-    ):
+    for expected, ports in ((contract.inputs, model.inputs), (contract.outputs, model.outputs)):
         check_tensors(contract, expected, [_described(port) for port in ports])
-    return OpenVinoGraph(compiled, contract)
+    own = _shapes(contract, sizes or {})
+
+    def compiled(at_own: bool) -> ov.CompiledModel:
+        if not at_own:
+            return core.compile_model(model, "CPU", settings)
+        still = model.clone()
+        still.reshape({name: list(shape) for name, shape in own.items()})
+        return core.compile_model(still, "CPU", settings)
+
+    return OpenVinoGraph(compiled, contract, own)
+
+
+def _shapes(contract: GraphContract, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the inputs; empty where a dimension is not among the sizes."""
+    found = {
+        tensor.name: tuple(d if isinstance(d, int) else sizes.get(d, 0) for d in tensor.shape)
+        for tensor in contract.inputs
+    }
+    return found if all(all(shape) for shape in found.values()) else {}
 
 
 def _described(port: Any) -> tuple[str, str, tuple[int | None, ...]]:

@@ -210,6 +210,10 @@ def test_predicted_calls_of_one_picture_a_light(counted, request):
     planned = counted.relighter.prepare(scene, lights, options=options).plan
     counted.calls.clear()
     results = counted.relighter.relight_each(scene, lights, options=options)
+    total = Counter()
+    for result in results:
+        total.update(result.plan.calls())
+    assert total == counted.calls
     assert dict(counted.calls) == planned.calls()
     assert sum(result.evaluations for result in results) == planned.evaluations
 

@@ -142,6 +142,8 @@ class Plan:
         Whether both branches go through the network in one call, and two lights' likewise.
     name : str
         ``exact``, ``balanced``, ``draft``, or ``custom``.
+    accompanied : bool
+        Whether its light went through the network with the one before, whose plan has the calls.
     """
 
     passes: tuple[GuidedPass, ...]
@@ -149,6 +151,7 @@ class Plan:
     effects: tuple[Effect, ...]
     batched: bool = False
     name: str = "exact"
+    accompanied: bool = False
 
     @property
     def evaluations(self) -> int:
@@ -192,7 +195,7 @@ class Plan:
             count["vae_encoder"] += sum(each.encoded)
             count["condition_encoder"] += each.branches
             count["vae_decoder"] += 1
-        for lights in self.together:
+        for lights in [] if self.accompanied else self.together:
             each = self.passes[lights[0]]
             positive, negative = each.shallow
             whole = each.steps - positive, each.contrasts - negative
@@ -204,14 +207,12 @@ class Plan:
         return {graph: number for graph, number in count.items() if number}
 
     def only(self, number: int, *, first: bool) -> Plan:
-        """The same for one of its lights; the pass without shadow belongs to the first.
-
-        Calls that two lights shared are in each one's account.
-        """
+        """The same for one of its lights; what lights share belongs to the first of them."""
         plain = self.plain
         if not first and plain.source == "run":
             plain = replace(plain, source="remembered")
-        return replace(self, passes=(self.passes[number],), plain=plain)
+        accompanied = any(number in lights[1:] for lights in self.together)
+        return replace(self, passes=(self.passes[number],), plain=plain, accompanied=accompanied)
 
     def report(self) -> dict[str, Any]:
         """Everything, ready for JSON."""

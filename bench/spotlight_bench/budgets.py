@@ -200,15 +200,11 @@ def budgets(
     from rich.console import Console
     from rich.progress import track
 
-    from spotlight_bench.dataset import AZIMUTHS, find_scenes, has_directions, load_scene
-    from spotlight_bench.errors import DataError
+    from spotlight_bench.dataset import AZIMUTHS, azimuth_scenes
     from spotlight_runtime import Relighter
     from spotlight_spec import write_json
 
-    folders = [f for f in find_scenes(data) if has_directions(f, AZIMUTHS)][:scenes]
-    if not folders:
-        raise DataError(f"{data}: expected scenes with shadows of eight azimuths, found none")
-    known = {folder.name: load_scene(folder, AZIMUTHS) for folder in folders}
+    known = {test.name: test for test in azimuth_scenes(data, scenes)}
     relighter = Relighter.load(model, threads=threads, remember=0)
     drawn = draw(requests, list(known), AZIMUTHS, seed)
     run = track(

@@ -28,6 +28,7 @@ __all__ = [
     "DOMINANT",
     "Direction",
     "TestScene",
+    "azimuth_scenes",
     "find_scenes",
     "has_directions",
     "load_scene",
@@ -122,6 +123,20 @@ def load_scene(folder: Path, names: tuple[str, ...]) -> TestScene:
     """
     scene = Scene.load(folder)
     return TestScene(folder, scene, tuple(_direction(folder, scene, name) for name in names))
+
+
+def azimuth_scenes(data: Path, most: int) -> list[TestScene]:
+    """Read the first scenes that have shadows of all eight azimuths, with these directions.
+
+    Raises
+    ------
+    DataError
+        If there is none.
+    """
+    folders = [folder for folder in find_scenes(data) if has_directions(folder, AZIMUTHS)][:most]
+    if not folders:
+        raise DataError(f"{data}: expected scenes with shadows of eight azimuths, found none")
+    return [load_scene(folder, AZIMUTHS) for folder in folders]
 
 
 def _direction(folder: Path, scene: Scene, name: str) -> Direction:

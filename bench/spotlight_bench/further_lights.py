@@ -114,18 +114,13 @@ def further_lights(
     from rich.progress import track
     from rich.table import Table
 
-    from spotlight_bench.dataset import AZIMUTHS, find_scenes, has_directions, load_scene
-    from spotlight_bench.errors import DataError
+    from spotlight_bench.dataset import azimuth_scenes
     from spotlight_spec import write_json
 
-    folders = [f for f in find_scenes(data) if has_directions(f, AZIMUTHS)][:count]
-    if not folders:
-        raise DataError(f"{data}: expected scenes with shadows of eight azimuths, found none")
-    scenes = [load_scene(folder, AZIMUTHS) for folder in folders]
+    scenes = azimuth_scenes(data, count)
     plans = get_args(PlanName)
     run = rounds(Relighter.load(model, threads=threads), scenes, count, plans)
-    bar = track(run, "rounds", count * len(plans), console=Console(stderr=True))
-    found = list(bar)
+    found = list(track(run, "rounds", count * len(plans), console=Console(stderr=True)))
     figures = {plan: shares([one for one in found if one.plan == plan]) for plan in plans}
     if json_file is not None:
         write_json(json_file, {"shares": figures, "rounds": [asdict(one) for one in found]})

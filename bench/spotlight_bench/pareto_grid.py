@@ -21,6 +21,9 @@ from spotlight_runtime import RelightOptions
 __all__ = ["EXACT", "FULL", "QUICK", "Candidate", "Grid", "candidates"]
 
 EXACT: Final = "exact"
+LATER: Final = (1 / 3, 1.0)
+"""Steps to contrast the branches in: in the first of few the shadow is not in the latents yet, and
+both branches know the same."""
 FEW: Final = 4
 """Steps in which guidance in some of them goes with a coarse window, at most."""
 
@@ -51,11 +54,6 @@ class Candidate:
     def apply(self, base: RelightOptions) -> RelightOptions:
         """The options it runs with."""
         return replace(base, **self.options)
-
-
-LATER: Final = (1 / 3, 1.0)
-"""Steps to contrast the branches in: in the first of few the shadow is not in the latents yet, and
-both branches know the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +149,10 @@ def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]
         # Contrasted in no step at all, the light would not steer the object's shading.
         unguided = first >= last
         another = solver != "ddim" and steps == 1  # all solvers take one step alike
-        some, shared = (first, last) != (0, steps), reuse > 1
-        few = some and window == "coarse" and steps <= FEW and not shared
-        crossed = some + shared + (window != "auto") > 1 and not few
+        some = (first, last) != (0, steps)
+        savings = (some, reuse > 1, window != "auto")
+        tried = savings == (True, False, True) and window == "coarse" and steps <= FEW
+        crossed = sum(savings) > 1 and not tried
         if steps > own_steps or unguided or another or crossed or key in seen:
             continue
         seen.add(key)
@@ -162,7 +161,7 @@ def _savings(grid: Grid, own_steps: int) -> Iterator[tuple[str, dict[str, Any]]]
         if some:
             options["guidance_interval"] = list(interval)
             low, high = (round(100 * end) for end in interval)
-            name += f"-g{high}" if low == 0 else f"-g{low}to{high}"
+            name += f"-g{low}to{high}"
         if plain != steps:
             options["plain_steps"] = plain
             name += f"-p{plain}"

@@ -2,7 +2,7 @@
 
 An optional engine (extra ``openvino``): where a processor multiplies bfloat16 (AMX, AVX-512 BF16) a
 full-size evaluation takes less than two thirds of ONNX Runtime's int8 (``bench/peers.md``). Beside
-`spotlight_runtime.networks.sessions` the only module that knows an engine.
+`spotlight_runtime.networks.sessions` the only module that opens an engine.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.errors import MissingExtraError, ModelError
+from spotlight_runtime.networks.openvino_fold import fold_upsampling
 from spotlight_runtime.networks.sessions import check_tensors, usable_threads
 from spotlight_spec import GraphContract
 
@@ -32,9 +33,9 @@ _DTYPES: Final = {"f32": "float32", "i64": "int64"}
 class OpenVinoGraph:
     """A graph behind its contract, compiled when it is first run.
 
-    Compiled for a single size it is some 4 % quicker than for any, so it is compiled once for the
-    size it is meant for and once for all others, each where it is asked for: what a size gives does
-    not depend on what was asked before.
+    Compiled for a single size it is some 6 % quicker than for any (its upsampling can be folded,
+    too: `fold_upsampling`), so it is compiled once for the size it is meant for and once for all
+    others, each where it is asked for: what a size gives does not depend on what was asked before.
 
     Parameters
     ----------
@@ -134,6 +135,7 @@ def open_graph(
             return core.compile_model(model, "CPU", settings)
         still = model.clone()
         still.reshape({name: list(shape) for name, shape in own.items()})
+        fold_upsampling(still)
         return core.compile_model(still, "CPU", settings)
 
     return OpenVinoGraph(compiled, contract, own)

@@ -1,6 +1,7 @@
 """Named plans, and budgets in seconds that choose one."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -175,6 +176,22 @@ def test_machine_is_measured_once_and_remembered(backbone, monkeypatch, tmp_path
     assert Relighter.load(backbone, threads=2).costs is None
     file.write_text("{")
     assert Relighter.load(backbone, threads=1).costs is None
+
+
+def test_costs_of_hours_ago_are_measured_again_once(backbone, monkeypatch, tmp_path, scene, shadow):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = Relighter.load(backbone, threads=1)
+    first.calibrated()
+    (file,) = tmp_path.rglob("*.json")
+    write_costs(file, SLOW)
+    assert Relighter.load(backbone, threads=1).calibrated() == SLOW
+    os.utime(file, (0.0, 0.0))
+    late = Relighter.load(backbone, threads=1)
+    assert late.costs == SLOW  # better than none, for whoever does not ask to be told exactly
+    measured = late.calibrated()
+    assert measured != SLOW
+    assert late.calibrated() is measured
+    assert read_costs(file) == measured
 
 
 def test_costs_that_are_none_are_measured_again(tmp_path):

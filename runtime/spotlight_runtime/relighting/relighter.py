@@ -27,6 +27,7 @@ from spotlight_runtime.planning.costs import (
     Pace,
     Seconds,
     cache_path,
+    outdated,
     read_costs,
     write_costs,
 )
@@ -88,6 +89,7 @@ class Relighter:
         self._remembered = Remembered(remember)
         self._costs_file = costs_file
         self.costs = None if costs_file is None else read_costs(costs_file)
+        self._outdated = costs_file is not None and outdated(costs_file)
         self._pace = Pace()
 
     @classmethod
@@ -268,12 +270,16 @@ class Relighter:
     def calibrated(self, *, again: bool = False) -> Costs:
         """What the stages cost on this machine; measured in two seconds where it is not known.
 
+        What was measured over an hour ago is measured again, once: virtual machines do not stay as
+        quick as they were.
+
         Parameters
         ----------
         again : bool
             Measure, whatever is known.
         """
-        if self.costs is None or again:
+        if self.costs is None or self._outdated or again:
+            self._outdated = False
             measured = Relighter(self.spec, self._networks, remember=0)
             self.costs = measure_costs(
                 self.spec,

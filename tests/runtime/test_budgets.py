@@ -178,7 +178,7 @@ def test_machine_is_measured_once_and_remembered(backbone, monkeypatch, tmp_path
     assert Relighter.load(backbone, threads=1).costs is None
 
 
-def test_costs_of_hours_ago_are_measured_again_once(backbone, monkeypatch, tmp_path, scene, shadow):
+def test_costs_of_hours_ago_are_measured_again_once(backbone, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     first = Relighter.load(backbone, threads=1)
     first.calibrated()

@@ -12,14 +12,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
+
+from spotlight_runtime.arrays import FloatArray
 
 if TYPE_CHECKING:
     import openvino as ov
 
 __all__ = ["fold_upsampling"]
-
-FloatArray = npt.NDArray[np.float32]
 
 _DOUBLING: Final = {
     "mode": "nearest",
@@ -68,17 +67,15 @@ def _doubled(model: ov.Model) -> Iterator[tuple[Any, FloatArray, Any]]:
             continue
         source = node.input_value(0)
         while source.get_node().get_type_name() == "Slice":
-            whole = source.get_node().input_value(0)
-            if whole.shape != source.shape:
-                break
-            source = whole
+            source = source.get_node().input_value(0)
         resize = source.get_node()
         if resize.get_type_name() != "Interpolate" or not _has(resize, _DOUBLING):
             continue
         small = resize.input_value(0)
         doubled = [*small.shape[:2], *(2 * side for side in small.shape[2:])]
         weights = _weights(node)
-        if list(source.shape) == doubled and weights is not None:
+        # Of the doubled image's shape nothing was cropped on the way.
+        if list(node.input_value(0).shape) == doubled and weights is not None:
             yield node, weights, small
 
 

@@ -1,7 +1,7 @@
 """What each part of a relight costs on this machine, in seconds.
 
-Measured once a model and machine by `spotlight_runtime.relighting.calibration`, kept in the user's
-cache, and asked by the rules for every effect they switch.
+Measured by `spotlight_runtime.relighting.calibration`, kept for an hour in the user's cache, one a
+model and machine, and asked by the rules for every effect they switch.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ __all__ = [
     "write_costs",
 ]
 
-VERSION: Final = 6
+VERSION: Final = 7
 """Of the cache file; files of another version are measured anew."""
 KEPT: Final = 3600.0
 """Seconds for which costs are believed. Six hours later a virtual machine took a tenth longer for
@@ -210,16 +210,21 @@ def read_costs(path: Path) -> Costs | None:
 
 
 def outdated(path: Path) -> bool:
-    """Whether costs were kept there so long ago that the machine may have another pace by now."""
+    """Whether costs were kept there so long ago that the machine may have another pace by now.
+
+    The clock is the machine's running time, which nobody sets; after a restart it may be before
+    what was noted, and the costs count as old.
+    """
     try:
-        return time.time() - path.stat().st_mtime > KEPT
-    except OSError:
+        age = time.monotonic() - float(json.loads(path.read_text())["measured"])
+    except (OSError, ValueError, KeyError, TypeError):
         return False  # there are none
+    return not 0.0 <= age <= KEPT
 
 
 def write_costs(path: Path, costs: Costs) -> None:
     """Keep costs, where the cache can be written to; write-then-rename."""
-    record = {"version": VERSION, "costs": asdict(costs)}
+    record = {"version": VERSION, "measured": time.monotonic(), "costs": asdict(costs)}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, record)

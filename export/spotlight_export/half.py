@@ -26,7 +26,8 @@ smallest normal number, 6e-5, exceeds this.
 def store_weights_as_half(model: ir.Model) -> list[str]:
     """Replace float32 weights by float16 ones with a cast behind them, in place.
 
-    Vectors (biases, norms, scales) stay float32: they are small and everything passes them.
+    Vectors (biases, norms, scales) and tables (the sines of timesteps) stay float32: they are small
+    and everything passes them.
 
     Parameters
     ----------
@@ -42,6 +43,8 @@ def store_weights_as_half(model: ir.Model) -> list[str]:
     for value in list(graph.initializers.values()):
         weight = value.const_value
         if weight is None or weight.dtype != ir.DataType.FLOAT or len(weight.shape) < 2:
+            continue
+        if any(node.op_type == "Gather" for node in value.consumers()):
             continue
         if reason := _unfit(weight.numpy()):
             kept.append(f"{value.name}: {reason}")

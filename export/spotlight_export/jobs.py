@@ -75,7 +75,8 @@ def _controlnet_jobs(
     height, width = TRACE_LATENT
     latents = torch.randn(TRACE_BATCH, spec.latent.channels, height, width)
     pixels = (height * spec.latent.downscale, width * spec.latent.downscale)
-    timestep = torch.tensor([spec.schedule.num_train_timesteps // 2])
+    train_timesteps = spec.schedule.num_train_timesteps
+    timestep = torch.tensor([train_timesteps // 2])
 
     vae = checkpoint.load("vae")
     image = torch.rand(TRACE_BATCH, 3, *pixels)
@@ -91,7 +92,7 @@ def _controlnet_jobs(
     fold_prompt(controlnet, prompt)
 
     if layout == "split":
-        residuals_of = ControlNetResiduals(controlnet)
+        residuals_of = ControlNetResiduals(controlnet, train_timesteps)
         yield GraphJob(contracts["controlnet"], residuals_of, noisy)
         with torch.no_grad():
             residuals = residuals_of(*noisy)
@@ -99,11 +100,13 @@ def _controlnet_jobs(
         unet = checkpoint.load("unet")
         fold_prompt(unet, prompt)
         example = (latents, timestep, *residuals)
-        yield GraphJob(contracts["unet"], UNetWithResiduals(unet), example)
+        yield GraphJob(contracts["unet"], UNetWithResiduals(unet, train_timesteps), example)
     else:
         unet = checkpoint.load("unet")
         fold_prompt(unet, prompt)
-        yield GraphJob(contracts["denoiser"], FusedDenoiser(controlnet, unet), noisy)
+        yield GraphJob(
+            contracts["denoiser"], FusedDenoiser(controlnet, unet, train_timesteps), noisy
+        )
 
 
 JOBS: Final[dict[str, Callable[[Checkpoint, BackboneSpec, GraphLayout], Iterator[GraphJob]]]] = {

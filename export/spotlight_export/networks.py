@@ -71,9 +71,9 @@ class ConditionEmbedding(nn.Module):
 class ControlNetResiduals(nn.Module):
     """Latents, timestep, condition → what ControlNet adds to the UNet's skips and its middle."""
 
-    def __init__(self, controlnet: nn.Module) -> None:
+    def __init__(self, controlnet: nn.Module, train_timesteps: int) -> None:
         super().__init__()
-        self.time = _TimeEmbedding(controlnet)
+        self.time = _TimeEmbedding(controlnet, train_timesteps)
         self.conv_in = controlnet.conv_in
         self.down_blocks = controlnet.down_blocks
         self.mid_block = controlnet.mid_block
@@ -94,9 +94,9 @@ class ControlNetResiduals(nn.Module):
 class UNetWithResiduals(nn.Module):
     """Latents, timestep, ControlNet's residuals → prediction."""
 
-    def __init__(self, unet: nn.Module) -> None:
+    def __init__(self, unet: nn.Module, train_timesteps: int) -> None:
         super().__init__()
-        self.time = _TimeEmbedding(unet)
+        self.time = _TimeEmbedding(unet, train_timesteps)
         self.conv_in = unet.conv_in
         self.down_blocks = unet.down_blocks
         self.mid_block = unet.mid_block
@@ -119,10 +119,10 @@ class UNetWithResiduals(nn.Module):
 class FusedDenoiser(nn.Module):
     """Latents, timestep, condition → prediction: ControlNet and UNet in one graph."""
 
-    def __init__(self, controlnet: nn.Module, unet: nn.Module) -> None:
+    def __init__(self, controlnet: nn.Module, unet: nn.Module, train_timesteps: int) -> None:
         super().__init__()
-        self.controlnet = ControlNetResiduals(controlnet)
-        self.unet = UNetWithResiduals(unet)
+        self.controlnet = ControlNetResiduals(controlnet, train_timesteps)
+        self.unet = UNetWithResiduals(unet, train_timesteps)
 
     def forward(
         self, latents: torch.Tensor, timestep: torch.Tensor, condition: torch.Tensor
@@ -138,15 +138,21 @@ def residual_channels(controlnet: nn.Module) -> tuple[int, ...]:
 
 
 class _TimeEmbedding(nn.Module):
-    """Timestep, shared by the batch → embedding of shape (1, channels), broadcast by its users."""
+    """Timestep, shared by the batch → embedding of shape (1, channels), broadcast by its users.
 
-    def __init__(self, network: nn.Module) -> None:
+    The sines of every train timestep are a table. Their angles go up to a thousand radians, where
+    neighbours in bfloat16 lie 4 apart: an engine that computes in it would take sines of chance.
+    """
+
+    def __init__(self, network: nn.Module, train_timesteps: int) -> None:
         super().__init__()
-        self.frequencies = network.time_proj
+        self.sinusoids = nn.Embedding.from_pretrained(
+            network.time_proj(torch.arange(train_timesteps))
+        )
         self.mlp = network.time_embedding
 
     def forward(self, timestep: torch.Tensor) -> torch.Tensor:
-        return self.mlp(self.frequencies(timestep))
+        return self.mlp(self.sinusoids(timestep))
 
 
 class _PlainUpsampling(nn.Module):

@@ -47,6 +47,39 @@ def test_half_stores_matrices_as_half_and_vectors_as_float(half):
     assert all(kind == TensorProto.FLOAT for name, kind in types.items() if name.endswith(".bias"))
 
 
+@pytest.mark.parametrize("folder", ["fused", "half", "int8"])
+def test_sines_of_timesteps_are_a_table_of_floats(folder, request):
+    """Of angles up to a thousand, which bfloat16 and half cannot tell from their neighbours."""
+    graph = onnx.load(request.getfixturevalue(folder) / "denoiser.onnx").graph
+    assert not {"Sin", "Cos"} & {node.op_type for node in graph.node}
+    stored = {tensor.name: tensor.data_type for tensor in graph.initializer}
+    read = {node.input[0] for node in graph.node if "timestep" in node.input}
+    assert read
+    assert all(stored[name] == TensorProto.FLOAT for name in read)
+
+
+def test_bfloat16_is_no_less_exact_where_timesteps_are_large(fused):
+    pytest.importorskip("openvino", reason="needs the extra openvino")
+    from spotlight_runtime.networks.openvino import open_graph as open_openvino
+
+    contract = Manifest.read(fused).graph("denoiser")
+    exact, brief = (
+        open_openvino(fused, contract, precision=kind, threads=1) for kind in ("f32", "bf16")
+    )
+    rng = np.random.default_rng(3)
+    inputs = {
+        "latents": rng.standard_normal((1, 4, 16, 16), np.float32),
+        "condition": rng.standard_normal((1, 32, 16, 16), np.float32),
+    }
+    errors = {}
+    for timestep in (0, 1, 999, 991):
+        all_inputs = inputs | {"timestep": np.array([timestep])}
+        wanted = exact(**all_inputs)["prediction"]
+        got = brief(**all_inputs)["prediction"]
+        errors[timestep] = np.linalg.norm(got - wanted) / np.linalg.norm(wanted)
+    assert max(errors[999], errors[991]) <= 1.5 * max(errors[0], errors[1]), errors
+
+
 def test_half_takes_half_the_space(half, fused):
     size = {
         folder: sum(entry.bytes for entry in Manifest.read(folder).files)

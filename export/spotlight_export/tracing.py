@@ -31,6 +31,9 @@ speed is the same within noise, and a quantiser cannot touch attention's inner p
 EXTERNAL_DATA_ABOVE: Final = 64 << 20
 """Graphs with more bytes of weights than this keep them in ``<graph>.onnx.data``."""
 
+WITHOUT_END: Final = 2**31 - 1
+"""End of a slice that takes all there is, whichever size that may be."""
+
 INLINE_BELOW: Final = 1024
 """Tensors smaller than this stay in the graph file: shape inference reads their values."""
 
@@ -111,6 +114,7 @@ def _tidy(model: ir.Model) -> None:
     """
     fold_constants(model)
     passes.CommonSubexpressionEliminationPass()(model)
+    _drop_whole_slices(model.graph)
     _fold_transposed_weights(model.graph)
     lower_group_norms(model.graph)
     passes.LiftConstantsToInitializersPass(lift_all_constants=False, size_limit=0)(model)
@@ -121,6 +125,28 @@ def _tidy(model: ir.Model) -> None:
     model.metadata_props.clear()
     model.producer_name = "spotlight-export"
     model.producer_version = version("spotlight-relight")
+
+
+def _drop_whole_slices(graph: ir.Graph) -> None:
+    """Read a tensor itself where a slice takes all of it.
+
+    ``x[:, a:b]`` is traced as two slices, of which the first is a copy of ``x``. A twelfth of the
+    mini's condition encoder went into one.
+    """
+    for node in graph:
+        if node.op_type != "Slice" or node.outputs[0].is_graph_output():
+            continue
+        starts, ends, *others = (ir.convenience.get_const_tensor(each) for each in node.inputs[1:])
+        steps = others[1] if len(others) > 1 else None
+        if starts is None or ends is None or (steps is None and len(others) > 1):
+            continue
+        whole = (
+            (starts.numpy() == 0).all()
+            and (ends.numpy() >= WITHOUT_END).all()
+            and (steps is None or (steps.numpy() == 1).all())
+        )
+        if whole:
+            ir.convenience.replace_all_uses_with(node.outputs[0], node.inputs[0])
 
 
 def _fold_transposed_weights(graph: ir.Graph) -> None:

@@ -52,6 +52,18 @@ def test_a_baked_size_is_refused():
         trace(Function(lambda x: x[:, :, :8]), EXAMPLE, CONTRACT)
 
 
+def test_a_slice_copies_what_it_takes_and_nothing_else(tmp_path):
+    def network(x):
+        return torch.cat([x[:, 2:], x[:, :2]], dim=1)
+
+    model = trace(Function(network), EXAMPLE, CONTRACT)
+    assert [node.op_type for node in model.graph].count("Slice") == 2
+    save_graph(model, tmp_path / "graph.onnx")
+    x = np.random.default_rng(0).standard_normal((1, 4, 3, 5), np.float32)
+    got = open_graph(tmp_path / "graph.onnx")(latents=x)["image"]
+    np.testing.assert_array_equal(got, np.concatenate([x[:, 2:], x[:, :2]], axis=1))
+
+
 def test_wrong_number_of_outputs_is_refused():
     with pytest.raises(TraceError, match="2 outputs"):
         trace(Function(lambda x: (x + 1, x + 2)), EXAMPLE, CONTRACT)

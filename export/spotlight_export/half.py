@@ -26,8 +26,8 @@ smallest normal number, 6e-5, exceeds this.
 def store_weights_as_half(model: ir.Model) -> list[str]:
     """Replace float32 weights by float16 ones with a cast behind them, in place.
 
-    Vectors (biases, norms, scales) and tables (the sines of timesteps) stay float32: they are small
-    and everything passes them.
+    Vectors (biases, norms, scales), of whatever rank, and tables (the sines of timesteps) stay
+    float32: they are small and everything passes them.
 
     Parameters
     ----------
@@ -42,9 +42,7 @@ def store_weights_as_half(model: ir.Model) -> list[str]:
     first = graph[0]
     for value in list(graph.initializers.values()):
         weight = value.const_value
-        if weight is None or weight.dtype != ir.DataType.FLOAT or len(weight.shape) < 2:
-            continue
-        if any(node.op_type == "Gather" for node in value.consumers()):
+        if weight is None or weight.dtype != ir.DataType.FLOAT or _is_small(value):
             continue
         if reason := _unfit(weight.numpy()):
             kept.append(f"{value.name}: {reason}")
@@ -62,6 +60,13 @@ def store_weights_as_half(model: ir.Model) -> list[str]:
         del graph.initializers[value.name]
         graph.register_initializer(half)
     return kept
+
+
+def _is_small(value: ir.Value) -> bool:
+    """Whether it is a vector, or a table to look things up in."""
+    weight = value.const_value
+    vector = weight is not None and weight.size == max(weight.shape, default=1)
+    return vector or any(node.op_type == "Gather" for node in value.consumers())
 
 
 def _unfit(weight: np.ndarray) -> str | None:

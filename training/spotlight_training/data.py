@@ -64,6 +64,7 @@ def _scene_dtype(side: int, lights: int) -> np.dtype[Any]:
             ("lights", np.float16, (lights, *colour)),
             ("lights_background", np.float16, (lights, *colour)),
             ("ambient_weight", np.float32),
+            ("towards", np.float32, (lights, 3)),
         ]
     )
 
@@ -132,7 +133,25 @@ def _packed(record: Any, side: int, lights: int) -> npt.NDArray[Any]:
     ):
         scene[name] = np.stack([images[i % len(images)] for i in range(lights)])
     scene["ambient_weight"] = float(np.mean(record.description.ambient.weight))
+    lamps = {lamp.name: lamp for lamp in record.description.lights}
+    towards = [_seen_towards(lamps[name], record.description.camera) for name in record.lights]
+    scene["towards"] = [towards[i % len(towards)] for i in range(lights)]
     return scene
+
+
+def _seen_towards(lamp: Any, camera: Any) -> FloatArray:
+    """Unit vector from the object to a light, in the normals' frame: right, up, to the camera."""
+    azimuth, elevation, pitch = np.deg2rad([lamp.azimuth, lamp.elevation, camera.pitch])
+    right, forward = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    above = np.sin(elevation)
+    return np.array(
+        [
+            right,
+            np.cos(pitch) * above + np.sin(pitch) * forward,
+            np.sin(pitch) * above - np.cos(pitch) * forward,
+        ],
+        np.float32,
+    )
 
 
 def _eight_bit(values: FloatArray) -> npt.NDArray[np.uint8]:
@@ -165,11 +184,17 @@ class Packed:
 
 @dataclass(frozen=True)
 class Picture:
-    """One lighting of one scene: gamma-2.2 image and maps, float32, (side, side[, C])."""
+    """One lighting of one scene: gamma-2.2 image and maps, float32, (side, side[, C]).
+
+    ``shadow`` is what the object takes of the background's light, 0 to 1; ``lamps`` (2, 4) are
+    directions to the lights, in the normals' frame, and each one's share of their light.
+    """
 
     image: FloatArray
     maps: dict[str, FloatArray]
     object_mask: FloatArray
+    shadow: FloatArray
+    lamps: FloatArray
 
 
 def draw_picture(
@@ -202,7 +227,7 @@ def draw_picture(
     maps["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-3)
     maps["depth"] = cut("depth")
     mask = cut("object_mask") / np.float32(255.0)
-    radiance = _light(scene, rng, cut, mask)
+    radiance, shadow, lamps = _light(scene, rng, cut, mask)
     bright = float(np.percentile(np.maximum.reduce(_channels(radiance[::4, ::4])), 95))
     exposure = np.clip(0.9 / max(bright, 1e-6), 0.25, 4.0) * np.exp(rng.normal(0.0, 0.2))
     image = np.clip(radiance * np.float32(exposure), 0.0, 1.0) ** np.float32(1 / 2.2)
@@ -210,10 +235,12 @@ def draw_picture(
     order = rng.permutation(3)
     image, maps["albedo"] = image[..., order], maps["albedo"][..., order]
     if rng.random() < 0.5:
-        image, mask = image[:, ::-1], mask[:, ::-1]
+        image, mask, shadow = image[:, ::-1], mask[:, ::-1], shadow[:, ::-1]
         maps = {name: value[:, ::-1] for name, value in maps.items()}
         maps["normal"] = maps["normal"] * np.float32([-1.0, 1.0, 1.0])
-    return Picture(np.ascontiguousarray(image), maps, np.ascontiguousarray(mask))
+        lamps = lamps * np.float32([-1.0, 1.0, 1.0, 1.0])
+    image, mask, shadow = (np.ascontiguousarray(plane) for plane in (image, mask, shadow))
+    return Picture(image, maps, mask, shadow, lamps)
 
 
 def _crop(mask: npt.NDArray[np.uint8], rng: np.random.Generator, size: int) -> tuple[slice, slice]:
@@ -231,8 +258,10 @@ def _crop(mask: npt.NDArray[np.uint8], rng: np.random.Generator, size: int) -> t
     return window[0], window[1]
 
 
-def _light(scene: Any, rng: np.random.Generator, cut: Any, mask: FloatArray) -> FloatArray:
-    """Linear radiance of the crop under a random lighting; see the module's docstring."""
+def _light(
+    scene: Any, rng: np.random.Generator, cut: Any, mask: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Linear radiance of the crop under a random lighting, the object's shadow, and the lamps."""
     order = rng.permutation(len(scene["lights"]))
     count = 2 if rng.random() < TWO_LIGHTS else 1
     ambient = float(scene["ambient_weight"]) * np.exp(rng.normal(0.0, 0.4))
@@ -249,13 +278,17 @@ def _light(scene: Any, rng: np.random.Generator, cut: Any, mask: FloatArray) -> 
 
     chosen, weights = order[:count], strengths()
     radiance = lit("", chosen, weights)
-    if rng.random() >= COMPOSITES:
-        return radiance
     alone = lit("_background", chosen, weights)
     ratio = np.clip((sum(_channels(radiance)) + 3e-4) / (sum(_channels(alone)) + 3e-4), 0.0, 1.0)
+    shadow = (1 - mask) * (1 - ratio)
+    lamps = np.zeros((2, 4), np.float32)
+    lamps[:count, :3] = scene["towards"][chosen]
+    lamps[:count, 3] = weights.mean(axis=1) / weights.mean(axis=1).sum()
+    if rng.random() >= COMPOSITES:
+        return radiance, shadow, lamps
     background = lit("_background", order[-count:], strengths())
     cover = mask[..., None]
-    return cover * radiance + (1 - cover) * background * ratio[..., None]
+    return cover * radiance + (1 - cover) * background * ratio[..., None], shadow, lamps
 
 
 def _channels(image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -287,7 +320,11 @@ class RendererData:
         self._packed, self._spec, self._side = packed, spec, side
 
     def __call__(self, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Draw one sample: ``image`` (3, side, side) and ``conditioning`` (K, side, side)."""
+        """Draw one sample: ``image``, ``conditioning``, and what teaches to find the light.
+
+        Shapes are (3, side, side), (K, side, side), and (1, side, side) of ``object_mask`` and
+        ``shadow``.
+        """
         picture = self._packed.draw(rng, self._side)
         hidden = random_mask(rng, picture.object_mask)
         return {
@@ -295,6 +332,9 @@ class RendererData:
             "conditioning": stack_maps(
                 self._spec, picture.maps, picture.image, picture.maps["albedo"], hidden
             ),
+            "object_mask": picture.object_mask[None],
+            "shadow": picture.shadow[None].astype(np.float32),
+            "lamps": picture.lamps,
         }
 
 

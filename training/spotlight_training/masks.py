@@ -17,6 +17,9 @@ BoolArray = npt.NDArray[np.bool_]
 DROP_ALL = 0.05
 OBJECT = 0.9
 ABOUT_OBJECT = 0.9
+WIDELY = 0.6
+WIDEST = 0.35
+NARROWEST = 0.05
 FURTHER_SHAPES = (0, 0, 0, 1, 1, 2)
 
 
@@ -32,10 +35,11 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     Returns
     -------
     ndarray of bool, shape (H, W)
-        One picture in twenty is hidden whole; nine in ten hide the object, grown by up to 5 % of
-        the height; on half of them come one or two rectangles or ellipses, most of these
-        about the object, so the hidden region has no telling outline. On the others all shadows are
-        in sight: these teach what a shadow says about the object.
+        One picture in twenty is hidden whole; nine in ten hide the object. Six in ten of these hide
+        the floor about it too, by up to 35 % of the picture's height to all sides: shadows have to
+        be found in noise there, as SpotLight's have to. The others grow it by up to 5 %, and most
+        of them leave shadows in sight. On half of all come one or two rectangles or ellipses, most
+        of these about the object, so that the hidden region has no telling outline.
     """
     height, width = object_mask.shape
     if rng.random() < DROP_ALL:
@@ -43,8 +47,7 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
     hidden = np.zeros((height, width), dtype=np.uint8)
     shapes = int(rng.choice(FURTHER_SHAPES))
     if rng.random() < OBJECT:
-        grow = 1 + 2 * int(rng.integers(1, max(2, height // 20)))
-        hidden |= cv2.dilate((object_mask > 0.0).astype(np.uint8), np.ones((grow, grow), np.uint8))
+        hidden |= _grown(rng, object_mask)
     else:
         shapes = max(shapes, 1)
     rows, columns = np.nonzero(object_mask > 0.5)
@@ -55,6 +58,20 @@ def random_mask(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) 
             centre = np.array([columns[pixel], rows[pixel]], dtype=float)
         _stamp(rng, hidden, centre.astype(int))
     return hidden.astype(bool)
+
+
+def _grown(rng: np.random.Generator, object_mask: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """The object's pixels and those about it, as far to all sides."""
+    covered = object_mask > 0.0
+    share = WIDEST if rng.random() < WIDELY else NARROWEST
+    reach = 1 + int(rng.uniform(0.0, share) * len(covered))
+    if rng.random() < 0.5:
+        square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        return cv2.dilate(covered.astype(np.uint8), square)
+    if not covered.any():
+        return covered.astype(np.uint8)
+    away = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 3)
+    return (away <= reach).astype(np.uint8)
 
 
 def _stamp(

@@ -18,6 +18,7 @@ from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
 from spotlight_runtime.diffusion.solvers import make_solver
 from spotlight_spec import BackboneSpec
 from spotlight_training.networks import VAE, ConditionEncoder, Denoiser
+from spotlight_training.networks.occlusion import directions
 
 __all__ = [
     "Renderer",
@@ -34,6 +35,11 @@ Loss = Callable[[nn.Module, Batch, torch.Generator], dict[str, Tensor]]
 Sheet = Callable[[nn.Module, Path], None]
 
 GRADIENT_WEIGHT = 1.0
+SHADOW_WEIGHT = 2.0
+OBJECT_WEIGHT = 1.0
+LIGHT_WEIGHT = 0.01
+SHARPNESS = 20.0
+"""Of the distribution of directions that the renderer's guess of the light is taught."""
 PERTURBATION = 0.15
 """Share of the noise by which latents are noisier than the renderer is told. Its own steps leave
 such noise behind, and one that believes it paints objects mottled (Ning et al. 2023)."""
@@ -85,12 +91,33 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
         more = torch.randn(x0.shape, generator=generator, device=device)
         noisy = level.sqrt() * x0 + (1 - level).sqrt() * (noise + PERTURBATION * more)
         target = level.sqrt() * noise - (1 - level).sqrt() * x0
-        v = model.denoiser(noisy, t, model.condition(batch["conditioning"]))
+        condition = model.condition(batch["conditioning"])
+        v, found = model.denoiser.explained(noisy, t, condition)
         shares = model.vae.synthesis[0].weight.float().square().sum(dim=(0, 2, 3)).sqrt().sqrt()
         error = (level.sub(1).neg().sqrt() * (v.float() - target).square()).mean(dim=(0, 2, 3))
-        return {"v": (shares / shares.mean() * error).mean()}
+        size = found.shadow.shape[-2:]
+        shadow, cover = (
+            functional.adaptive_avg_pool2d(batch[name], size) for name in ("shadow", "object_mask")
+        )
+        likely = coming_from(batch["lamps"])
+        return {
+            "v": (shares / shares.mean() * error).mean(),
+            "shadow": SHADOW_WEIGHT * functional.mse_loss(found.shadow, shadow),
+            "object": OBJECT_WEIGHT * functional.mse_loss(found.object_mask, cover),
+            "light": LIGHT_WEIGHT * functional.kl_div(found.likely, likely, reduction="batchmean"),
+        }
 
     return loss
+
+
+def coming_from(lamps: Tensor) -> Tensor:
+    """Distribution (B, D) over candidate directions of light from lamps (B, L, 4).
+
+    Those are directions in the normals' frame and shares; see `Picture`.
+    """
+    towards = directions().to(lamps) * lamps.new_tensor([1.0, 1.0, -1.0])
+    near = functional.softmax(SHARPNESS * (lamps[..., :3] @ towards.T), dim=2)
+    return (lamps[..., 3:] * near).sum(dim=1)
 
 
 def intrinsics_loss(

@@ -46,6 +46,7 @@ __all__ = [
 ]
 
 MODEL_FILE = "model.safetensors"
+NEW_PARTS = ("denoiser.deep.", "denoiser.finder.")
 DEPTH = 12
 """Blocks of a new renderer's deep part."""
 
@@ -262,8 +263,13 @@ def _weights(path: Path) -> dict[str, torch.Tensor]:
 
 def _grown(model: nn.Module, path: Path) -> None:
     """Start from a run with fewer blocks: those that are new change nothing at first."""
-    missing, unknown = model.load_state_dict(_weights(path), strict=False)
-    strange = [*unknown, *(name for name in missing if not name.startswith("denoiser.deep."))]
+    weights = _weights(path)
+    for name in ("denoiser.light.2.weight", "denoiser.light.2.bias"):
+        whole = model.state_dict()[name].clone()
+        whole[: len(weights[name])] = weights[name]
+        weights[name] = whole
+    missing, unknown = model.load_state_dict(weights, strict=False)
+    strange = [*unknown, *(name for name in missing if not name.startswith(NEW_PARTS))]
     if strange:
         raise ValueError(f"{path}: expected a renderer of the same width, found others: {strange}")
 

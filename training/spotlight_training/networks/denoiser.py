@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from spotlight_training.networks.blocks import Attention, ResBlock, norm
-from spotlight_training.networks.condition import LIGHTS
+from spotlight_training.networks.condition import LIGHTS, SEEN_BY
+from spotlight_training.networks.finder import Found, LightFinder
 
 __all__ = ["Denoiser"]
 
@@ -31,6 +32,14 @@ WIDER: Final = 3
 
 EMBEDDING: Final = 128
 
+COLOURS: Final = 3
+
+LAMP: Final = 0.2
+"""Brightness of the lamp that a renderer begins with."""
+
+FOUND_AFTER: Final = 3
+"""Share of the deep part's blocks, as a divisor, that look at a place before light is sought."""
+
 
 class Denoiser(nn.Module):
     """Network over (noisy latents, condition), predicting v.
@@ -44,10 +53,11 @@ class Denoiser(nn.Module):
 
     Where light comes from is told by shadows far from what it lights, so the deep part is a
     transformer at half of the latents' size (Peebles & Xie 2023): each place of an object can ask
-    every dark place of the floor where it lies. The light it finds there, c, is as smooth as that
-    half size makes it; what is at latent size paints the rest. The network sees the noisy latents
-    blurred: light and shadow are wider than the blur, and what one latent alone could tell is
-    noise, which came out as mottled objects when it was seen.
+    every dark place of the floor where it lies. After a third of it `LightFinder` says where the
+    light comes from, and the c are a lamp from there, as bright and as coloured as the network
+    makes it at each place, and what smooth light it adds; what is at latent size paints the rest.
+    The network sees the noisy latents blurred: light and shadow are wider than the blur, and what
+    one latent alone could tell is noise, which came out as mottled objects when it was seen.
 
     Parameters
     ----------
@@ -66,9 +76,10 @@ class Denoiser(nn.Module):
     ) -> None:
         super().__init__()
         self.register_buffer("alphas_cumprod", alphas_cumprod.float(), persistent=False)
+        self.register_buffer("sinusoids", _sinusoids(len(alphas_cumprod), width), persistent=False)
         self.log_variance = nn.Parameter(torch.full((latent,), math.log(HIDDEN_VARIANCE)))
         self.latent, self.width = latent, width
-        self.shown = condition - LIGHTS * latent
+        self.shown = condition - LIGHTS * latent - SEEN_BY
         wide = WIDER * width
         self.embed = nn.Sequential(
             nn.Linear(width, EMBEDDING), nn.SiLU(), nn.Linear(EMBEDDING, EMBEDDING), nn.SiLU()
@@ -77,13 +88,15 @@ class Denoiser(nn.Module):
         self.first = ResBlock(width, width, EMBEDDING)
         self.down = nn.Conv2d(width, wide, 3, stride=2, padding=1)
         self.deep = nn.ModuleList(_Block(wide, EMBEDDING) for _ in range(depth))
-        self.light = nn.Sequential(norm(wide), nn.SiLU(), nn.Conv2d(wide, LIGHTS, 1))
+        self.finder = LightFinder(wide, EMBEDDING)
+        self.light = nn.Sequential(norm(wide), nn.SiLU(), nn.Conv2d(wide, LIGHTS + COLOURS, 1))
         self.up = nn.Conv2d(wide, width, 3, padding=1)
         self.last = ResBlock(2 * width, width, EMBEDDING)
         self.leave = nn.Sequential(norm(width), nn.SiLU(), nn.Conv2d(width, latent, 3, padding=1))
         for final in (self.light[-1], self.leave[-1]):
             nn.init.zeros_(final.weight)
             nn.init.zeros_(final.bias)
+        nn.init.constant_(self.light[-1].bias[LIGHTS:], LAMP)
 
     @property
     def deep_channels(self) -> int:
@@ -97,8 +110,16 @@ class Denoiser(nn.Module):
     def whole(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction, and the deep features (B, `deep_channels`, h, w) that `shallow` takes."""
         embedding, x = self._enter(latents, timestep, condition)
-        deep = self._below(embedding, x)
+        deep, _ = self._below(embedding, x, condition)
         return self._leave(latents, timestep, condition, deep, embedding, x), deep
+
+    def explained(
+        self, latents: Tensor, timestep: Tensor, condition: Tensor
+    ) -> tuple[Tensor, Found]:
+        """Prediction, and the light it is made by."""
+        embedding, x = self._enter(latents, timestep, condition)
+        deep, found = self._below(embedding, x, condition)
+        return self._leave(latents, timestep, condition, deep, embedding, x), found
 
     def shallow(self, latents: Tensor, timestep: Tensor, condition: Tensor, deep: Tensor) -> Tensor:
         """Prediction from another step's deep features: no more than runs at latent size."""
@@ -106,18 +127,25 @@ class Denoiser(nn.Module):
         return self._leave(latents, timestep, condition, deep, embedding, x)
 
     def _enter(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
-        embedding = self.embed(_sinusoid(timestep, self.width).to(latents.dtype))
+        embedding = self.embed(functional.embedding(timestep, self.sinusoids).to(latents.dtype))
         x = self.enter(torch.cat([_blurred(latents), condition[:, : self.shown]], dim=1))
         return embedding, self.first(x, embedding)
 
-    def _below(self, embedding: Tensor, shown: Tensor) -> Tensor:
+    def _below(self, embedding: Tensor, shown: Tensor, condition: Tensor) -> tuple[Tensor, Found]:
         x = self.down(shown)
-        for block in self.deep:
+        first = len(self.deep) // FOUND_AFTER
+        for block in self.deep[:first]:
             x = block(x, embedding)
-        light = functional.interpolate(self.light(x), scale_factor=2.0, mode="bilinear")
+        told, direct, found = self.finder(x, embedding, condition[:, -SEEN_BY:, ::2, ::2])
+        x = x + told
+        for block in self.deep[first:]:
+            x = block(x, embedding)
+        light, lamp = self.light(x).float().split([LIGHTS, COLOURS], dim=1)
+        light = light + (direct[:, :, None] * lamp[:, None]).flatten(1, 2)
+        light = functional.interpolate(light, scale_factor=2.0, mode="bilinear")
         features = functional.interpolate(self.up(x), scale_factor=2.0)
         deep = torch.cat([features, light.to(x.dtype)], dim=1)
-        return deep[..., : shown.shape[-2], : shown.shape[-1]]
+        return deep[..., : shown.shape[-2], : shown.shape[-1]], found
 
     def _leave(
         self,
@@ -133,7 +161,7 @@ class Denoiser(nn.Module):
         rest, amounts = self.leave(x).float(), amounts.float()
         known = condition[:, : self.latent].float()
         hidden = condition[:, self.latent, None].float()
-        lights = condition[:, self.shown :].float().unflatten(1, (LIGHTS, self.latent))
+        lights = condition[:, self.shown : -SEEN_BY].float().unflatten(1, (LIGHTS, self.latent))
         mean = known + rest + (amounts[:, :, None] * lights).sum(dim=1)
         variance = KNOWN_VARIANCE + hidden * self.log_variance.exp()[None, :, None, None]
         variance = variance if self.training else TEMPERATURE * variance
@@ -173,8 +201,9 @@ def _blurred(latents: Tensor) -> Tensor:
     return latents
 
 
-def _sinusoid(timestep: Tensor, channels: int) -> Tensor:
-    half = torch.arange(channels // 2, device=timestep.device, dtype=torch.float32)
+def _sinusoids(timesteps: int, channels: int) -> Tensor:
+    """Of every timestep: angles of a thousand radians are not for whoever computes in bfloat16."""
+    half = torch.arange(channels // 2, dtype=torch.float32)
     frequencies = torch.exp(half * (-math.log(10_000.0) / (channels // 2)))
-    angles = timestep.float()[:, None] * frequencies
+    angles = torch.arange(timesteps, dtype=torch.float32)[:, None] * frequencies
     return torch.cat([angles.sin(), angles.cos()], dim=-1)

@@ -152,9 +152,9 @@ def _object_light(
     expected = factor_method.object_light(planes(own), *map(planes, premultiplied), exact(m), reach)
     n = factor_method.straight(planes(premultiplied[1]), exact(m))
     lit = []
-    for coefficients, colours in zip(expected, planes(premultiplied[0])):
+    for (coefficients, least), colours in zip(expected, planes(premultiplied[0])):
         basis = torch.cat([factor_method.lambert_basis(colours, n), exact(m)[None]])
-        lit.append(factor_method.evaluated(coefficients, basis, SIZE))
+        lit.append(factor_method.evaluated(coefficients, basis, SIZE).clamp(min=least * colours))
     return actual, torch.stack(lit, -1).numpy()
 
 

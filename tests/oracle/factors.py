@@ -27,6 +27,7 @@ THINNEST = 0.25
 BARELY_COVERED = 1e-4
 DARK = 0.1
 SLOPE_RIDGE = 0.03
+LEAST = 0.3
 """Of the albedo's mean square."""
 
 
@@ -147,10 +148,11 @@ def lambert_basis(albedo: Tensor, normal: Tensor) -> Tensor:
 
 def object_light(
     own: Tensor, albedo: Tensor, normal: Tensor, mask: Tensor, reach: float = 0.0
-) -> list[Tensor]:
+) -> list[tuple[Tensor, float]]:
     """Coefficients (h, w, 5) of each channel of the object's own light, all premultiplied.
 
-    Where light is smooth over a reach, they are those of a smooth fit.
+    With each, what times the albedo the light is not below. Where light is smooth over a reach,
+    they are those of a smooth fit.
 
     The basis is Lambert's and a one for highlights, which get what a dark albedo leaves over; it
     is blurred as a decoder blurs. Pixels count by their squared cover, from a quarter on.
@@ -169,10 +171,10 @@ def object_light(
         slope = SLOPE_RIDGE * energy / max(float(counted.sum()), BARELY_COVERED)
         ridge, usual = [slope, slope, slope, 0.0, 0.3], [0.0, 0.0, 0.0, shading, 0.0]
         if reach > 0.0:
-            fits.append(smooth_fit(light, counted, basis, ridge, usual, reach))
+            fits.append((smooth_fit(light, counted, basis, ridge, usual, reach), LEAST * shading))
             continue
         leftover = torch.zeros_like(basis)
         leftover[-2] = colour / (colour**2 + DARK**2)
         leftover[-1] = DARK**2 / (colour**2 + DARK**2)
-        fits.append(guided_fit(light, counted, basis, ridge, usual, leftover))
+        fits.append((guided_fit(light, counted, basis, ridge, usual, leftover), 0.0))
     return fits

@@ -23,7 +23,12 @@ from spotlight_runtime.imaging.colour import decode_to_linear, encode_linear
 from spotlight_runtime.imaging.upsampling import GuidedFit, fit_guided
 from spotlight_runtime.relighting.canvas import Canvas
 from spotlight_runtime.relighting.composite import colour_balance, compose_picture, shadow_ratio
-from spotlight_runtime.relighting.object_light import divided, fit_light, light_rows
+from spotlight_runtime.relighting.object_light import (
+    ObjectLight,
+    divided,
+    fit_light,
+    light_rows,
+)
 from spotlight_runtime.relighting.window import Window
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
@@ -89,7 +94,7 @@ class WindowLayer:
         Guiding shadow at the photograph's scale.
     ratio : GuidedFit
         Ratio image of the encoded background, guided by the guiding shadow.
-    light : tuple of GuidedFit
+    light : tuple of ObjectLight
         From the object, linear, by channel; guided by its albedo times normals, and its albedo.
     everywhere : bool
         Whether the ratio counts in the whole window, as in the public release, or in the
@@ -101,7 +106,7 @@ class WindowLayer:
     window: Window
     shadow: FloatArray
     ratio: GuidedFit
-    light: tuple[GuidedFit, ...]
+    light: tuple[ObjectLight, ...]
     everywhere: bool
 
     def rows(self, top: int, bottom: int) -> tuple[FloatArray, BoolArray]:

@@ -8,6 +8,7 @@ evaluated on the large maps: texture and relief are the maps' own, shading is th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -23,7 +24,7 @@ from spotlight_runtime.imaging.upsampling import (
 )
 from spotlight_runtime.relighting.canvas import Canvas
 
-__all__ = ["divided", "fit_light", "light_rows"]
+__all__ = ["ObjectLight", "divided", "fit_light", "light_rows"]
 
 
 DARK: Final = 0.1
@@ -33,6 +34,11 @@ SLOPE_RIDGE: Final = 0.03
 have as much relief as bright ones. A larger one flattens what the renderer says of light: of 120
 pictures by the mini 72 % showed the light they were asked for within 45° at 0.1, 77 % at 0.03 and
 0.01; against 0.1 these two lose 0.05 and 0.17 dB."""
+LEAST: Final = 0.3
+"""Share of the object's mean light that reaches all of it, where light is smooth. No room leaves
+black what turns away from the lamp, but guidance does, and slopes go on from there. Of 128 pictures
+by the mini the object is 0.5 dB nearer to the truth than with none, its contrast is the truth's
+(0.57 for 0.60), and following the same; more takes contrast away."""
 HIGHLIGHT_RIDGE: Final = 0.3
 """Leaves to a highlight only what albedo cannot explain; 0.3 does best between 0.01 and 1."""
 DECODED_BLUR: Final = 0.45
@@ -49,7 +55,23 @@ MARGIN: Final = 8
 Box = tuple[slice, slice]
 
 
-def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[GuidedFit, ...]:
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectLight:
+    """One channel of the object's light.
+
+    Attributes
+    ----------
+    fit : GuidedFit
+        Of use where the object is.
+    least : float
+        Times the albedo, the light that is everywhere on it.
+    """
+
+    fit: GuidedFit
+    least: float
+
+
+def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[ObjectLight, ...]:
     """Fit the object's own light to its albedo and normals.
 
     What the fit leaves over is the object's own shadows and highlights, if the pixels it was
@@ -67,8 +89,8 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
 
     Returns
     -------
-    tuple of GuidedFit
-        One a channel; of use where the object is.
+    tuple of ObjectLight
+        One a channel.
     """
     reach, smooth = reach or FIT_SIGMA, reach > 0.0
     cell = cell_of(reach, smooth)
@@ -96,7 +118,7 @@ def fit_light(small: Canvas, own: FloatArray, reach: float = 0.0) -> tuple[Guide
         )
         coefficients = np.zeros((*grid_of(small.size, cell), slopes + 2), dtype=np.float32)
         coefficients[cells] = fit.coefficients
-        fits.append(GuidedFit(coefficients))
+        fits.append(ObjectLight(GuidedFit(coefficients), LEAST * shading if smooth else 0.0))
     return tuple(fits)
 
 
@@ -128,7 +150,7 @@ def _leftover(colour: FloatArray, slopes: int) -> FloatArray:
 
 
 def light_rows(
-    fits: Sequence[GuidedFit],
+    lights: Sequence[ObjectLight],
     albedo: FloatArray,
     normal: FloatArray,
     mask: FloatArray,
@@ -141,7 +163,7 @@ def light_rows(
 
     Parameters
     ----------
-    fits : sequence of GuidedFit
+    lights : sequence of ObjectLight
         As `fit_light` returns them.
     albedo : ndarray of float32, shape (bottom − top, W, 3)
     normal : ndarray of float32, shape (bottom − top, W, 3 or 0)
@@ -160,9 +182,11 @@ def light_rows(
     """
     normal = divided(normal, mask)
     light = np.empty(albedo.shape, dtype=np.float32)
-    for channel, fit in enumerate(fits):
-        guide = _light_guide(albedo[..., channel], normal)
-        light[..., channel] = fit.rows(guide, top, bottom, size, mask, columns)
+    for channel, each in enumerate(lights):
+        colour = albedo[..., channel]
+        guide = _light_guide(colour, normal)
+        rows = each.fit.rows(guide, top, bottom, size, mask, columns)
+        np.maximum(rows, np.float32(each.least) * colour, out=light[..., channel])
     return light
 
 

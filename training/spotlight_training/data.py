@@ -323,7 +323,7 @@ class RendererData:
         """Draw one sample: ``image``, ``conditioning``, and what teaches to find the light.
 
         Shapes are (3, side, side), (K, side, side), and (1, side, side) of ``object_mask`` and
-        ``shadow``.
+        ``shadow``; ``lamps`` as `Picture` has them.
         """
         picture = self._packed.draw(rng, self._side)
         hidden = random_mask(rng, picture.object_mask)

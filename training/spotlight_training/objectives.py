@@ -18,7 +18,7 @@ from spotlight_runtime.diffusion.schedule import Schedule, alphas_cumprod
 from spotlight_runtime.diffusion.solvers import make_solver
 from spotlight_spec import BackboneSpec
 from spotlight_training.networks import VAE, ConditionEncoder, Denoiser
-from spotlight_training.networks.occlusion import directions
+from spotlight_training.networks.occlusion import as_normals, directions
 
 __all__ = [
     "Renderer",
@@ -115,7 +115,7 @@ def coming_from(lamps: Tensor) -> Tensor:
 
     Those are directions in the normals' frame and shares; see `Picture`.
     """
-    towards = directions().to(lamps) * lamps.new_tensor([1.0, 1.0, -1.0])
+    towards = as_normals(directions().to(lamps))
     near = functional.softmax(SHARPNESS * (lamps[..., :3] @ towards.T), dim=2)
     return (lamps[..., 3:] * near).sum(dim=1)
 

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from spotlight_training.networks.blocks import norm
 from spotlight_training.networks.harmonics import lambertian
-from spotlight_training.networks.occlusion import DIRECTIONS, directions
+from spotlight_training.networks.occlusion import DIRECTIONS, as_normals, directions
 
 __all__ = ["Found", "LightFinder"]
 
@@ -68,8 +68,8 @@ class LightFinder(nn.Module):
     def __init__(self, channels: int, embedding: int) -> None:
         super().__init__()
         self.register_buffer("towards", directions(), persistent=False)
-        seen = directions() * torch.tensor([1.0, 1.0, -1.0])
-        self.register_buffer("lit", lambertian(seen).T.contiguous(), persistent=False)
+        lit = lambertian(as_normals(directions())).T.contiguous()
+        self.register_buffer("lit", lit, persistent=False)
         self.evidence = nn.Sequential(norm(channels), nn.Conv2d(channels, 2, 1))
         self.sharpness = nn.Linear(embedding, 1)
         self.mix = nn.Sequential(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["DIRECTIONS", "directions", "occlusion"]
+__all__ = ["DIRECTIONS", "as_normals", "directions", "occlusion"]
 
 DIRECTIONS: Final = 48
 """Candidates, 24° apart: about as far as a shadow has to turn to be another one at this size."""
@@ -48,6 +48,11 @@ def directions() -> Tensor:
     return torch.stack([flat * angle.cos(), up, flat * angle.sin()], dim=1).half().float()
 
 
+def as_normals(towards: Tensor) -> Tensor:
+    """Directions (D, 3) in the frame of normals: right, up, towards the camera."""
+    return towards * towards.new_tensor([1.0, 1.0, -1.0])
+
+
 def occlusion(
     place: Tensor, normal: Tensor, hidden: Tensor, extent: Tensor, towards: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -79,7 +84,7 @@ def occlusion(
     scene = torch.cat([place[:, 2:] + 1.0, hidden], dim=1)
     start = _half_size(place)
     right, up, away = (start + start.new_tensor([0.0, 0.0, 1.0])[:, None, None]).split(1, dim=1)
-    faces = _half_size(normal).permute(0, 2, 3, 1) @ (towards * towards.new_tensor([1, 1, -1])).T
+    faces = _half_size(normal).permute(0, 2, 3, 1) @ as_normals(towards).T
     facing = torch.sigmoid(faces.permute(0, 3, 1, 2) / TURNED)
     steps = torch.tensor(REACH, dtype=towards.dtype, device=towards.device)
     marched = (steps[:, None, None] * towards).flatten(0, 1)

@@ -13,11 +13,16 @@ __all__ = ["MOST_LIGHTS", "PLANNED", "DrawnLight", "PlacedLight", "RelightReques
 
 
 MOST_LIGHTS: Final = 16
-PLANNED: Final = ("steps", "solver", "fidelity", "window", "detail")
+PLANNED: Final = (
+    *("steps", "solver", "plain_steps", "guidance_interval", "reuse"),
+    *("fidelity", "window", "detail"),
+)
 """Options that a plan chooses where a request does not."""
 SCENE_ID: Final = r"^[0-9a-f]{64}$"
 SAMPLE_ID: Final = "0" * 64
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[Finite, Field(ge=0, le=1)]
+Interval = tuple[Share, Share]
 Colour = Annotated[
     list[Annotated[Finite, Field(ge=0)]],
     Field(
@@ -140,6 +145,15 @@ class RelightRequest(_Strict):
     seed: int = Field(469, ge=0, le=2**63 - 1)
     steps: int | None = Field(None, ge=1, le=1000)
     solver: Literal["ddim", "dpmpp_2m", "unipc"] = "ddim"
+    plain_steps: int | None = Field(
+        None, ge=1, le=1000, description="Steps of the pass without shadow; as many by default."
+    )
+    guidance_interval: Interval = Field(
+        (0.0, 1.0), description="Shares of the steps between which the guidance contrasts."
+    )
+    reuse: int = Field(
+        1, ge=1, le=1000, description="All of the denoiser runs in one of so many steps."
+    )
     fidelity: Literal["paper", "release"] = "paper"
     window: WindowMode = "auto"
     detail: Literal["auto", "renderer", "maps"] = "auto"

@@ -157,6 +157,9 @@ WRONG = {
     "gamma": {"gamma": 21},
     "steps": {"steps": 0},
     "solver": {"solver": "magic"},
+    "plain_steps": {"plain_steps": 0},
+    "guidance_interval[1]": {"guidance_interval": [0, 1.5]},
+    "reuse": {"reuse": 0},
     "model": {"model": "colossal"},
     "plan": {"plan": "best"},
     "budget_s": {"budget_s": 5, "plan": "exact"},
@@ -213,6 +216,8 @@ def test_plans_take_fewer_evaluations_and_options_of_ones_own_go_before(client, 
     # The tiny backbone's own 4 steps are fewer than a balanced plan's.
     assert evaluations(plan="draft", seed=21) < evaluations(plan="exact", seed=22)
     assert evaluations(plan="draft", steps=3, seed=23)[1] == 3
+    own = {"steps": 4, "plain_steps": 1, "guidance_interval": [0.5, 1.0]}
+    assert evaluations(plan="exact", seed=24, **own) == (4 + 2 + 1, 4)
 
 
 def test_a_budget_is_kept_or_refused(client, scene):

@@ -24,13 +24,16 @@ __all__ = [
     "Engine",
     "Fidelity",
     "Gamma",
+    "GuidanceInterval",
     "Invert",
     "LightName",
     "LightsFile",
     "Model",
     "Named",
     "Negative",
+    "PlainSteps",
     "Radius",
+    "Reuse",
     "SceneFolder",
     "Seed",
     "Shadow",
@@ -181,6 +184,31 @@ Solver = Annotated[
     Literal["ddim", "dpmpp_2m", "unipc"] | None,
     typer.Option(show_default="the plan's, or ddim", rich_help_panel=METHOD),
 ]
+PlainSteps = Annotated[
+    int | None,
+    typer.Option(
+        help="Steps of the pass without shadow.",
+        show_default="the plan's, or as many",
+        rich_help_panel=METHOD,
+    ),
+]
+GuidanceInterval = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="FROM TO",
+        help="Shares of the steps between which the guidance contrasts; outside, half the work.",
+        show_default="the plan's, or 0 1",
+        rich_help_panel=METHOD,
+    ),
+]
+Reuse = Annotated[
+    int | None,
+    typer.Option(
+        help="Run all of the denoiser in one of so many steps, in the others what is shallow.",
+        show_default="the plan's, or 1",
+        rich_help_panel=METHOD,
+    ),
+]
 Fidelity = Annotated[
     Literal["paper", "release"] | None,
     typer.Option(
@@ -193,7 +221,7 @@ Window = Annotated[
     WindowMode | None,
     typer.Option(
         help="Diffuse a window around object and shadow at the model's scale, the whole frame at "
-        "its own, no more than is needed, or that at half the scale.",
+        "its own, no more than is needed, or that at 5/8 of the scale.",
         show_default="auto",
         rich_help_panel=METHOD,
     ),

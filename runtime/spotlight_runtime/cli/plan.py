@@ -40,6 +40,9 @@ def plan(
     beta: a.Beta = None,
     steps: a.Steps = None,
     solver: a.Solver = None,
+    plain_steps: a.PlainSteps = None,
+    guidance_interval: a.GuidanceInterval = None,
+    reuse: a.Reuse = None,
     window: a.Window = None,
     engine: a.Engine = "onnxruntime",
     threads: a.Threads = None,
@@ -79,6 +82,9 @@ def plan(
         beta=beta,
         steps=steps,
         solver=solver,
+        plain_steps=plain_steps,
+        guidance_interval=guidance_interval,
+        reuse=reuse,
         window=window,
     )
     relighter = Relighter.load(model, engine=engine, threads=threads)

@@ -19,6 +19,7 @@ __all__ = [
     "plan_report",
     "predicted",
     "prepared",
+    "together_at",
 ]
 
 USUAL: Final = "exact"
@@ -73,6 +74,11 @@ def evaluations_at(task: Task, progress: Progress) -> int:
     if progress.stage == "no shadow":
         return 1
     return task.plan.passes[progress.light].branches_at(progress.step.index)
+
+
+def together_at(task: Task, progress: Progress) -> list[int]:
+    """The lights that go through the network together with the one that progress is of."""
+    return next(list(lights) for lights in task.plan.together if progress.light in lights)
 
 
 def predicted(relighter: Relighter) -> dict[str, float]:

@@ -64,6 +64,9 @@ class Progress(BaseModel):
     steps: int
     light: int
     lights: int
+    together: list[int] = Field(
+        default=[], description="Lights that go through the network together with this one."
+    )
     evaluations: int
     of: int
     seconds: float

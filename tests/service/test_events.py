@@ -44,6 +44,19 @@ def test_events_tell_a_job_from_its_beginning_to_its_end(client, scene):
     assert base64.b64decode(picture).startswith(b"\xff\xd8")
 
 
+@pytest.mark.parametrize(
+    ("model", "steps", "together"), [("mini", 60, {(0, 1)}), ("tiny", 600, {(0,), (1,)})]
+)
+def test_progress_names_the_lights_that_share_calls(client, scene, model, steps, together):
+    lights = [LIGHT, LIGHT | {"azimuth": 20.0}]
+    job = client.relight(scene, lights, sweep=True, model=model, steps=steps)
+    told = [event.data for event in client.events(job) if event.kind == "progress"]
+    assert {step["lights"] for step in told} == {2}
+    relit = [step for step in told if step["stage"] == "relight"]
+    assert {tuple(step["together"]) for step in relit} == together
+    assert all(step["light"] in step["together"] for step in relit)
+
+
 def test_who_comes_late_is_told_the_end_at_once(client, scene):
     job = client.wait(client.relight(scene, [LIGHT], model="tiny"))
     events = list(client.events(job))

@@ -226,6 +226,7 @@ class _Watcher:
         """Take note of one step."""
         self.check()
         self._done += plans.evaluations_at(self._task, progress)
+        together = plans.together_at(self._task, progress)
         elapsed = time.perf_counter() - self._began
         facts: dict[str, Any] = {
             "stage": progress.stage,
@@ -233,11 +234,14 @@ class _Watcher:
             "steps": progress.steps,
             "light": progress.light,
             "lights": progress.lights,
+            "together": together,
             "evaluations": self._done,
             "of": self._of,
             "seconds": round(elapsed, 3),
         }
-        if self._spent <= PREVIEW_SHARE * elapsed and self._engine.watched(self._claim):
+        # Of lights that go together the first alone is shown: two in turns would flicker.
+        shown = progress.light == together[0] and self._spent <= PREVIEW_SHARE * elapsed
+        if shown and self._engine.watched(self._claim):
             start = time.perf_counter()
             self._engine.show(self._claim, progress)
             self._spent += time.perf_counter() - start

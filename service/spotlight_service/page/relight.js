@@ -104,9 +104,11 @@ export class Run {
     } else this.progress({ ...job.progress, eta_s: job.eta_s });
   }
 
-  progress({ stage, step, steps, light, lights, fraction, eta_s: left }) {
+  progress({ stage, step, steps, light, lights, together, fraction, eta_s: left }) {
     if (byId("cancel").disabled) return;
-    const which = lights > 1 ? `Light ${light + 1} of ${lights}, step` : "Step";
+    const numbers = (together?.length ? together : [light]).map((number) => number + 1);
+    const named = `${numbers.length > 1 ? "Lights" : "Light"} ${numbers.join(" and ")} of ${lights}`;
+    const which = lights > 1 ? `${named}, step` : "Step";
     const what = stage === "no shadow" ? "Without shadow, step" : which;
     const time = left ? `, ${seconds(left)} left` : "";
     this.show(`${what} ${step} of ${steps}${time}`, fraction);

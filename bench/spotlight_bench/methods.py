@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
 from spotlight_bench.errors import MethodError
+from spotlight_runtime.planning.ladder import PlanName, named_rung
 
 __all__ = ["BUILT_IN", "OURS", "QUICK", "Method", "choose"]
 
@@ -32,6 +34,8 @@ class Method:
         γ and β of ``spotlight``.
     negative : {"opposite", "none"}
         Shadow of the negative branch of ``spotlight``.
+    plan : {"exact", "balanced", "draft"}
+        Plan of ``spotlight``: what a short one costs against the truth.
     folder : str
         Where the pictures of ``folder`` lie.
     """
@@ -42,6 +46,7 @@ class Method:
     gamma: float = 3.0
     beta: float = 0.05
     negative: Literal["opposite", "none"] = "opposite"
+    plan: PlanName = "exact"
     folder: str = ""
 
     @property
@@ -51,7 +56,12 @@ class Method:
             return f"folder {self.folder}"
         if self.kind != "spotlight":
             return self.kind
-        return f"spotlight gamma={self.gamma:g} beta={self.beta:g} negative={self.negative}"
+        how = f"spotlight gamma={self.gamma:g} beta={self.beta:g} negative={self.negative}"
+        if self.plan == "exact":
+            return how
+        # What the plan is today, on a model that reuses deep features and on one that cannot.
+        means = (json.dumps(named_rung(self.plan, each).options) for each in (True, False))
+        return f"{how} {self.plan}={' or '.join(means)}"
 
 
 OURS: Final = "spotlight"
@@ -60,6 +70,8 @@ _METHODS: Final = (
     Method("no-control", "no control (ZeroComp)", "no-control"),
     Method("sdedit", "ZeroComp+SDEdit", "sdedit"),
     Method(OURS, "SpotLight γ=3 β=0.05"),
+    Method("balanced", "balanced plan", plan="balanced"),
+    Method("draft", "draft plan", plan="draft"),
     Method("gamma-1", "γ=1", gamma=1.0),
     Method("gamma-7", "γ=7", gamma=7.0),
     Method("beta-0", "β=0", beta=0.0),

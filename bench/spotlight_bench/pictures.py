@@ -52,7 +52,8 @@ class Studio:
         It forgets what it remembers of the scene before.
     test : TestScene
     options : RelightOptions
-        Seed, steps, solver, fidelity, window and denoising; γ and β are the method's.
+        Seed, steps, solver, fidelity, window and denoising; γ and β are the method's, and what
+        its plan says of the others goes before them.
     """
 
     def __init__(self, backbone: Backbone, test: TestScene, options: RelightOptions) -> None:
@@ -101,7 +102,9 @@ class Studio:
             )
         options = replace(self._options, gamma=method.gamma, beta=method.beta)
         guide = GuidingShadow(direction.shadow, negative)
-        return self._backbone.relighter.relight(self._test.scene, guide, options=options)
+        return self._backbone.relighter.relight(
+            self._test.scene, guide, options=options, plan=method.plan
+        )
 
     def _without_control(self) -> RelightResult:
         """The renderer alone: without a shadow, both branches are the picture without one."""

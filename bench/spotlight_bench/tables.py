@@ -33,8 +33,8 @@ mean. Foreground: pixels that the object covers by half or more; background: the
 ST-LPIPS and ꟻLIP of a region are means over it of their maps, with the truth put outside it. Light
 following: share of pictures whose shading on the object is nearest, among the truths of all eight
 lights, to that of the wanted light, or to it or one beside it, up to a scale; *contrast free*: up
-to scale and offset. Seconds and evaluations leave out the picture without a shadow, which all
-methods share."""
+to scale and offset. Seconds and evaluations leave out the picture without a shadow, which methods
+share; but a plan of fewer steps has one of its own, and the seconds of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ import pytest
 
 from spotlight_bench.errors import MethodError
 from spotlight_bench.methods import BUILT_IN, OURS, QUICK, choose
+from spotlight_runtime.planning.ladder import Rung, named_rung
 
 
 def test_all_the_papers_variants_are_there():
@@ -17,6 +18,7 @@ def test_all_the_papers_variants_are_there():
         (3.0, 0.05, "none"),
     }
     assert {"pasted", "no-control", "sdedit", OURS} <= set(QUICK) <= set(BUILT_IN)
+    assert {m.plan for m in BUILT_IN.values()} == {"exact", "balanced", "draft"}
 
 
 def test_tables_keep_their_order_and_folders_come_last(tmp_path):
@@ -28,6 +30,15 @@ def test_tables_keep_their_order_and_folders_come_last(tmp_path):
 
 def test_settings_tell_methods_apart():
     assert len({m.how for m in BUILT_IN.values()}) == len(BUILT_IN)
+
+
+def test_results_of_a_plan_are_not_kept_when_the_plan_becomes_another(monkeypatch):
+    draft = BUILT_IN["draft"].how
+    options = named_rung("draft").options
+    assert all(repr(value).replace("'", '"') in draft for value in options.values())
+    other = Rung("draft", options | {"steps": 17}, None)
+    monkeypatch.setattr("spotlight_bench.methods.named_rung", lambda name, reusable: other)
+    assert BUILT_IN["draft"].how != draft
 
 
 @pytest.mark.parametrize(

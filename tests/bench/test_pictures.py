@@ -54,7 +54,10 @@ def test_scene(tmp_path_factory):
 
 
 @pytest.mark.parametrize("fidelity", ["paper", "release"])
-@pytest.mark.parametrize("name", ["spotlight", "gamma-1", "gamma-7", "beta-0", "negative-none"])
+@pytest.mark.parametrize(
+    "name",
+    ["spotlight", "balanced", "draft", "gamma-1", "gamma-7", "beta-0", "negative-none"],
+)
 def test_spotlight_is_the_runtimes_relight_bit_for_bit(backbone, test_scene, name, fidelity):
     options = replace(OPTIONS, fidelity=fidelity)
     method, direction = BUILT_IN[name], test_scene.directions[0]
@@ -62,7 +65,9 @@ def test_spotlight_is_the_runtimes_relight_bit_for_bit(backbone, test_scene, nam
     relighter = Relighter(backbone.spec, backbone.networks)
     negative = None if method.negative == "none" else direction.opposite
     wanted = replace(options, gamma=method.gamma, beta=method.beta)
-    result = relighter.relight(test_scene.scene, direction.shadow, negative, wanted)
+    result = relighter.relight(
+        test_scene.scene, direction.shadow, negative, wanted, plan=method.plan
+    )
     np.testing.assert_array_equal(picture, result.image)
 
 

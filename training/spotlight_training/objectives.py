@@ -92,7 +92,7 @@ def renderer_loss(spec: BackboneSpec) -> Loss:
         noisy = level.sqrt() * x0 + (1 - level).sqrt() * (noise + PERTURBATION * more)
         target = level.sqrt() * noise - (1 - level).sqrt() * x0
         condition = model.condition(batch["conditioning"])
-        v, found = model.denoiser.explained(noisy, t, condition)
+        v, _, found = model.denoiser.explained(noisy, t, condition)
         shares = model.vae.synthesis[0].weight.float().square().sum(dim=(0, 2, 3)).sqrt().sqrt()
         error = (level.sub(1).neg().sqrt() * (v.float() - target).square()).mean(dim=(0, 2, 3))
         size = found.shadow.shape[-2:]

@@ -109,17 +109,16 @@ class Denoiser(nn.Module):
 
     def whole(self, latents: Tensor, timestep: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction, and the deep features (B, `deep_channels`, h, w) that `shallow` takes."""
-        embedding, x = self._enter(latents, timestep, condition)
-        deep, _ = self._below(embedding, x, condition)
-        return self._leave(latents, timestep, condition, deep, embedding, x), deep
+        prediction, deep, _ = self.explained(latents, timestep, condition)
+        return prediction, deep
 
     def explained(
         self, latents: Tensor, timestep: Tensor, condition: Tensor
-    ) -> tuple[Tensor, Found]:
-        """Prediction, and the light it is made by."""
+    ) -> tuple[Tensor, Tensor, Found]:
+        """What `whole` gives, and the light it is made by."""
         embedding, x = self._enter(latents, timestep, condition)
         deep, found = self._below(embedding, x, condition)
-        return self._leave(latents, timestep, condition, deep, embedding, x), found
+        return self._leave(latents, timestep, condition, deep, embedding, x), deep, found
 
     def shallow(self, latents: Tensor, timestep: Tensor, condition: Tensor, deep: Tensor) -> Tensor:
         """Prediction from another step's deep features: no more than runs at latent size."""

@@ -8,6 +8,7 @@ from typing import Any, Final, get_args
 from spotlight_runtime import Light, Progress, Relighter, Scene
 from spotlight_runtime.cli.demo import find_scene
 from spotlight_runtime.planning.ladder import PlanName, Rung, named_rung
+from spotlight_runtime.planning.options import WindowMode
 from spotlight_runtime.relighting.tasks import Task, Wishes, check_wishes
 
 __all__ = [
@@ -25,6 +26,12 @@ __all__ = [
 USUAL: Final = "exact"
 _LIGHT: Final = Light(azimuth=135.0, elevation=45.0)
 """Of what plans are predicted for: a scene that comes along, and one light."""
+_WINDOWS: Final[dict[WindowMode, str]] = {
+    "auto": "large photographs in a window",
+    "frame": "the whole photograph at its own scale",
+    "tight": "only about object and shadow",
+    "coarse": "only about object and shadow, at a coarser scale",
+}
 
 
 def check_plan(request: Mapping[str, Any]) -> None:
@@ -123,6 +130,8 @@ def _summary(rung: Rung) -> str:
         said.append(f"guidance from {first:.0%} to {last:.0%} of them")
     if "reuse" in options:
         said.append(f"the whole network in one of {options['reuse']}")
+    if "window" in options:
+        said.append(_WINDOWS[options["window"]])
     return ", ".join(said)
 
 

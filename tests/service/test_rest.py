@@ -11,6 +11,7 @@ import pytest
 
 from spotlight_runtime import Light, Relighter, RelightOptions, Scene
 from spotlight_runtime.imaging.images import encode_png
+from spotlight_runtime.planning.ladder import named_rung
 from spotlight_service.client import ServiceError, drawn
 
 LIGHT = {"azimuth": 200.0, "elevation": 40.0}
@@ -244,3 +245,18 @@ def test_what_a_job_fails_of_is_told_without_paths(client, scene, server):
     assert told["status"] == 500
     assert "finite" in told["detail"]
     assert str(server.data) not in json.dumps(job.facts)
+
+
+def test_plans_say_each_thing_they_leave_out(client):
+    said = {plan["name"]: plan["summary"] for plan in client.capabilities()["plans"]["mini"]}
+    words = {
+        "steps": "steps of",
+        "plain_steps": "without shadow",
+        "guidance_interval": "guidance from",
+        "reuse": "whole network in one of",
+        "window": "about object and shadow",
+    }
+    for name, summary in said.items():
+        options = set(named_rung(name).options) - {"solver"}
+        assert options <= set(words), "a plan says something that is not told"
+        assert {option for option, phrase in words.items() if phrase in summary} == options

@@ -14,8 +14,14 @@ __all__ = ["MOST_LIGHTS", "PLANNED", "DrawnLight", "PlacedLight", "RelightReques
 
 MOST_LIGHTS: Final = 16
 PLANNED: Final = (
-    *("steps", "solver", "plain_steps", "guidance_interval", "reuse"),
-    *("fidelity", "window", "detail"),
+    "steps",
+    "solver",
+    "plain_steps",
+    "guidance_interval",
+    "reuse",
+    "fidelity",
+    "window",
+    "detail",
 )
 """Options that a plan chooses where a request does not."""
 SCENE_ID: Final = r"^[0-9a-f]{64}$"

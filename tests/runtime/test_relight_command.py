@@ -81,7 +81,7 @@ def test_every_option_reaches_the_relighter(here, tmp_path):
     report = tmp_path / "report.json"
     done = relight(
         *("--gamma", "5", "--beta", "0.2", "--seed", "0", "--steps", "2", "--solver", "unipc"),
-        *("--plain-steps", "1", "--guidance-interval", "0.5", "1", "--reuse", "2"),
+        *("--plain-steps", "1", "--guided", "0.5", "1", "--reuse", "2"),
         *("--fidelity", "release", "--report", report),
         output=tmp_path / "out.exr",
     )

@@ -195,6 +195,7 @@ PlainSteps = Annotated[
 GuidanceInterval = Annotated[
     tuple[float, float] | None,
     typer.Option(
+        "--guided",  # the whole name does not fit into a terminal's 80 columns
         metavar="FROM TO",
         help="Shares of the steps between which the guidance contrasts; outside, half the work.",
         show_default="the plan's, or 0 1",

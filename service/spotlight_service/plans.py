@@ -20,15 +20,13 @@ __all__ = [
     "plan_report",
     "predicted",
     "prepared",
-    "together_at",
+    "together_of",
 ]
 
 USUAL: Final = "exact"
 _LIGHT: Final = Light(azimuth=135.0, elevation=45.0)
 """Of what plans are predicted for: a scene that comes along, and one light."""
 _WINDOWS: Final[dict[WindowMode, str]] = {
-    "auto": "large photographs in a window",
-    "frame": "the whole photograph at its own scale",
     "tight": "only about object and shadow",
     "coarse": "only about object and shadow, at a coarser scale",
 }
@@ -83,9 +81,9 @@ def evaluations_at(task: Task, progress: Progress) -> int:
     return task.plan.passes[progress.light].branches_at(progress.step.index)
 
 
-def together_at(task: Task, progress: Progress) -> list[int]:
-    """The lights that go through the network together with the one that progress is of."""
-    return next(list(lights) for lights in task.plan.together if progress.light in lights)
+def together_of(task: Task) -> list[list[int]]:
+    """By light, those that go through the network together with it."""
+    return [list(lights) for lights in task.plan.together for _ in lights]
 
 
 def predicted(relighter: Relighter) -> dict[str, float]:

@@ -197,7 +197,8 @@ GuidanceInterval = Annotated[
     typer.Option(
         "--guided",  # the whole name does not fit into a terminal's 80 columns
         metavar="FROM TO",
-        help="Shares of the steps between which the guidance contrasts; outside, half the work.",
+        help="Shares of the steps between which the guidance contrasts (guidance_interval); "
+        "outside, half the work.",
         show_default="the plan's, or 0 1",
         rich_help_panel=METHOD,
     ),

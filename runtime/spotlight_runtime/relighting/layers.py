@@ -23,12 +23,7 @@ from spotlight_runtime.imaging.colour import decode_to_linear, encode_linear
 from spotlight_runtime.imaging.upsampling import GuidedFit, fit_guided
 from spotlight_runtime.relighting.canvas import Canvas
 from spotlight_runtime.relighting.composite import colour_balance, compose_picture, shadow_ratio
-from spotlight_runtime.relighting.object_light import (
-    ObjectLight,
-    divided,
-    fit_light,
-    light_rows,
-)
+from spotlight_runtime.relighting.object_light import ObjectLight, divided, fit_light, light_rows
 from spotlight_runtime.relighting.window import Window
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec

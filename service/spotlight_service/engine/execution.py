@@ -205,6 +205,7 @@ class _Watcher:
     def __init__(self, engine: Engine, claim: Claim, stopping: Stopping, task: Any) -> None:
         self._engine, self._claim, self._stopping = engine, claim, stopping
         self._task, self._of = task, plans.evaluations_of(task)
+        self._together = plans.together_of(task)
         self._done = self._previews = 0
         self._began = time.perf_counter()
         self._spent = 0.0
@@ -226,7 +227,7 @@ class _Watcher:
         """Take note of one step."""
         self.check()
         self._done += plans.evaluations_at(self._task, progress)
-        together = plans.together_at(self._task, progress)
+        together = self._together[progress.light]
         elapsed = time.perf_counter() - self._began
         facts: dict[str, Any] = {
             "stage": progress.stage,

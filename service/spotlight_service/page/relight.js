@@ -106,7 +106,7 @@ export class Run {
 
   progress({ stage, step, steps, light, lights, together, fraction, eta_s: left }) {
     if (byId("cancel").disabled) return;
-    const numbers = (together?.length ? together : [light]).map((number) => number + 1);
+    const numbers = (together.length ? together : [light]).map((number) => number + 1);
     const named = `${numbers.length > 1 ? "Lights" : "Light"} ${numbers.join(" and ")} of ${lights}`;
     const which = lights > 1 ? `${named}, step` : "Step";
     const what = stage === "no shadow" ? "Without shadow, step" : which;

@@ -36,6 +36,8 @@ class Method:
         Shadow of the negative branch of ``spotlight``.
     plan : {"exact", "balanced", "draft"}
         Plan of ``spotlight``: what a short one costs against the truth.
+    seed : int, optional
+        Of its noise, where it is to be another than the evaluation's: what a seed decides.
     folder : str
         Where the pictures of ``folder`` lie.
     """
@@ -47,6 +49,7 @@ class Method:
     beta: float = 0.05
     negative: Literal["opposite", "none"] = "opposite"
     plan: PlanName = "exact"
+    seed: int | None = None
     folder: str = ""
 
     @property
@@ -57,6 +60,8 @@ class Method:
         if self.kind != "spotlight":
             return self.kind
         how = f"spotlight gamma={self.gamma:g} beta={self.beta:g} negative={self.negative}"
+        if self.seed is not None:
+            how += f" seed={self.seed}"
         if self.plan == "exact":
             return how
         # What the plan is today, on a model that reuses deep features and on one that cannot.
@@ -72,6 +77,7 @@ _METHODS: Final = (
     Method(OURS, "SpotLight γ=3 β=0.05"),
     Method("balanced", "balanced plan", plan="balanced"),
     Method("draft", "draft plan", plan="draft"),
+    Method("seed-1", "seed 1", seed=1),
     Method("gamma-1", "γ=1", gamma=1.0),
     Method("gamma-7", "γ=7", gamma=7.0),
     Method("beta-0", "β=0", beta=0.0),

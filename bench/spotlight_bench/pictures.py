@@ -100,7 +100,8 @@ class Studio:
                 f"{self._test.folder}: expected shadow_negative_{direction.name}.png for method "
                 f"{method.name}, found none; add it or evaluate --methods negative-none"
             )
-        options = replace(self._options, gamma=method.gamma, beta=method.beta)
+        seed = self._options.seed if method.seed is None else method.seed
+        options = replace(self._options, gamma=method.gamma, beta=method.beta, seed=seed)
         guide = GuidingShadow(direction.shadow, negative)
         return self._backbone.relighter.relight(
             self._test.scene, guide, options=options, plan=method.plan

@@ -55,11 +55,43 @@ class MapSpec:
 
 @dataclass(frozen=True, slots=True)
 class LatentSpec:
-    """The VAE's latent space: ``z = E(image) · scaling_factor``, ``downscale`` times smaller."""
+    """The VAE's latent space, and where in it sampling starts.
+
+    Where ᾱ = 0 the initial latents hold nothing of a picture, and what they are should not matter.
+    A small network takes some of them for light all the same: it is best started where it errs
+    least, near one place, and not at any draw of unit noise.
+
+    Attributes
+    ----------
+    channels : int
+    downscale : int
+        Pixels of a side to a latent.
+    scaling_factor : float
+        ``z = E(image) · scaling_factor``.
+    start_mean : tuple of float
+        Mean of the initial latents, one number a channel; empty: 0.
+    start_deviation : float
+        Their standard deviation, and that of the noise of blends, in [0, 1]; 1: unit noise, as
+        diffusion has it.
+    """
 
     channels: int = 4
     downscale: int = 8
     scaling_factor: float = 0.18215
+    start_mean: tuple[float, ...] = ()
+    start_deviation: float = 1.0
+
+    def __post_init__(self) -> None:
+        if len(self.start_mean) not in (0, self.channels):
+            raise ValueError(
+                f"latent space: expected a start_mean of {self.channels} numbers or of none, got "
+                f"{len(self.start_mean)}"
+            )
+        if not 0.0 <= self.start_deviation <= 1.0:
+            raise ValueError(
+                "latent space: expected a start_deviation from 0 to 1, got "
+                f"{self.start_deviation!r}"
+            )
 
 
 @dataclass(frozen=True, slots=True)

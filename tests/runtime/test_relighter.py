@@ -367,6 +367,19 @@ def test_paper_and_release_draw_what_they_say(relighter, options, scene, shadow,
     assert not np.array_equal(paper.composite_latents, release.composite_latents)
 
 
+@pytest.mark.parametrize("fidelity", ["paper", "release"])
+def test_a_backbone_may_start_near_one_place(relighter, options, scene, shadow, negative, fidelity):
+    options = replace(options, fidelity=fidelity)
+    mean = (0.5, -1.0, 0.0, 2.0)
+    near = replace(relighter.spec.latent, start_mean=mean, start_deviation=0.25)
+    relighters = (relighter, Relighter(replace(relighter.spec, latent=near), relighter._networks))
+    unit, own = (each.loop_inputs(scene, shadow, negative, options) for each in relighters)
+    shift = np.float32(mean)[:, None, None]
+    np.testing.assert_array_equal(own.initial_noise, 0.25 * unit.initial_noise + shift)
+    np.testing.assert_array_equal(own.step_noise, 0.25 * unit.step_noise)
+    assert own.initial_noise.dtype == own.step_noise.dtype == np.float32
+
+
 def test_released_posterior_is_sampled_for_each_branch(relighter, options, scene, shadow):
     """Equal shadows encode equally; what differs between the branches is their sample."""
     inputs = relighter.loop_inputs(scene, shadow, shadow, replace(options, fidelity="release"))

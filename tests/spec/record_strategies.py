@@ -8,7 +8,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 
-from spotlight_spec import BackboneSpec, FileEntry, Manifest
+from spotlight_spec import BackboneSpec, FileEntry, LatentSpec, Manifest
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 SCALARS = {float: FINITE, int: st.integers(), str: st.text(max_size=20), bool: st.booleans()}
@@ -36,6 +36,7 @@ def records(kind: Any) -> st.SearchStrategy[Any]:
         FileEntry: {"path": st.from_regex(r"[a-z]{1,8}(/[a-z]{1,8})?\.onnx", fullmatch=True)},
         Manifest: {"format": st.just(1)},
         BackboneSpec: {"light_reach": st.floats(0.0, 256.0)},
+        LatentSpec: {"start_mean": st.just(()), "start_deviation": st.floats(0.0, 1.0)},
     }.get(kind, {})
     return st.builds(kind, **fields)
 

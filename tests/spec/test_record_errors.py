@@ -104,6 +104,19 @@ def test_light_that_reaches_beyond_the_picture_is_refused(reach):
         decode(BackboneSpec, spoiled(["light_reach"], reach))
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "problem"),
+    [
+        ("start_mean", [0.1, 0.2], "start_mean of 4 numbers or of none, got 2"),
+        ("start_deviation", -0.1, "start_deviation from 0 to 1, got -0.1"),
+        ("start_deviation", 1.5, "start_deviation from 0 to 1, got 1.5"),
+    ],
+)
+def test_a_start_that_is_none_is_refused(field, value, problem):
+    with pytest.raises(RecordError, match=rf"\$\.latent: .*{problem}"):
+        decode(BackboneSpec, spoiled(["latent", field], value))
+
+
 def test_fixed_length_list_of_another_length_is_refused():
     assert decode(Pair, {"sides": [1, "a"]}) == Pair((1, "a"))
     with pytest.raises(RecordError, match=r"\$\.sides: expected a list of 2 values"):

@@ -1,6 +1,7 @@
 """The trainings learn, resume, and end as a model the runtime runs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,19 @@ def test_latents_are_standardised_principal_components():
     left = (decoded - image).square().sum() / 64
     rest = patches.var(dim=0).sort(descending=True).values[6:].sum()
     assert left == pytest.approx(float(rest), rel=0.1)
+
+
+def test_a_start_is_as_much_brighter_in_pictures(trained):
+    renderer, spec = runs.load_renderer(trained / "renderer")
+    begun = runs.starting(renderer, spec, -0.04, 0.25)
+    assert begun.latent.start_deviation == 0.25
+    assert replace(begun, latent=spec.latent) == spec
+    mean = torch.tensor(begun.latent.start_mean)
+    grey = torch.full((1, 3, 8, 8), 0.2)
+    with torch.no_grad():
+        darker = renderer.vae.analysis(grey - 2 * 0.04) - renderer.vae.analysis(grey)
+    torch.testing.assert_close(darker[0, :, 0, 0], mean, atol=1e-4, rtol=0)
+    assert runs.starting(renderer, spec, 0.0, 1.0) == spec
 
 
 def test_a_killed_run_goes_on_where_it_stopped(packed, tmp_path):

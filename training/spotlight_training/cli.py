@@ -265,6 +265,24 @@ def export_model(
         typer.Option(help="JSON object of strings for the manifest: how made, how good."),
     ] = None,
     precision: Annotated[str, typer.Option(help="fp32, fp16 or int8 weights.")] = "fp16",
+    start_brightness: Annotated[
+        float,
+        typer.Option(
+            min=-1.0,
+            max=1.0,
+            help="What the initial latents add to a picture in 0 to 1 where sampling starts: set "
+            "it to what relit objects are too dark by, less than 0 where they are too bright.",
+        ),
+    ] = 0.0,
+    start_deviation: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Of the initial latents. Less than 1 where pictures should depend less on the "
+            "seed than a small renderer lets them.",
+        ),
+    ] = 1.0,
     force: Annotated[bool, typer.Option("--force", help="Replace a model there.")] = False,
 ) -> None:
     """Export finished trainings as a model folder, compared with torch graph by graph."""
@@ -278,7 +296,7 @@ def export_model(
     manifest = ship(
         model,
         runs.load_estimator(intrinsics_run),
-        spec,
+        runs.starting(model, spec, start_brightness, start_deviation),
         output,
         {} if notes is None else json.loads(notes.read_text(encoding="utf-8")),
         precision=precision,  # type: ignore[arg-type]

@@ -40,6 +40,7 @@ __all__ = [
     "renderer_shape",
     "save_run",
     "spec_of",
+    "starting",
     "train_intrinsics",
     "train_renderer",
     "train_vae",
@@ -210,6 +211,28 @@ def spec_of(shape: dict[str, Any]) -> BackboneSpec:
     """The embedded backbone's spec, with the latent channels of a VAE's ``shape``."""
     mini = BACKBONES["mini"]
     return replace(mini, latent=replace(mini.latent, channels=shape["latent"]))
+
+
+def starting(
+    renderer: Renderer, spec: BackboneSpec, brightness: float, deviation: float
+) -> BackboneSpec:
+    """The spec with initial latents of a trained renderer's own.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    spec : BackboneSpec
+    brightness : float
+        What their mean adds to an encoded picture in [0, 1].
+    deviation : float
+        See `LatentSpec`.
+    """
+    ends = torch.tensor([1.0, -1.0])[:, None, None, None].expand(2, 3, PATCH, PATCH)
+    with torch.no_grad():
+        white, black = renderer.vae.analysis(ends).flatten(1).double()
+    mean = tuple(round(float(each), 4) for each in brightness * (white - black))
+    latent = replace(spec.latent, start_mean=mean if brightness else (), start_deviation=deviation)
+    return replace(spec, latent=latent)
 
 
 def _vae(shape: dict[str, Any], weights: Path | None) -> VAE:

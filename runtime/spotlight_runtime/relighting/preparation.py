@@ -191,11 +191,14 @@ def loop_inputs(
     latent = spec.latent
     shape = (latent.channels, *(side // latent.downscale for side in scene.size))
     release = options.fidelity == "release"
-    noise = step_noise = gaussian(options.seed, "initial", (1, *shape))
+    deviation = np.float32(latent.start_deviation)
+    noise = step_noise = deviation * gaussian(options.seed, "initial", (1, *shape))
     blends = range(options.steps_for(spec) - 1)
     if release and blends:
         fresh = [gaussian(options.seed, "step", shape, index) for index in blends]
-        step_noise = np.stack(fresh)
+        step_noise = deviation * np.stack(fresh)
+    if latent.start_mean:
+        noise = noise + np.asarray(latent.start_mean, dtype=np.float32)[:, None, None]
 
     def encode(branch: int, shadow: FloatArray) -> FloatArray:
         if not planned.encoded[branch]:

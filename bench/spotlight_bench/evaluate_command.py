@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -75,6 +76,7 @@ def evaluate(
     """
     from spotlight_bench import evaluate as bench
     from spotlight_bench.backbone import Backbone
+    from spotlight_bench.dataset import fingerprint
     from spotlight_bench.methods import BUILT_IN, QUICK, choose
     from spotlight_bench.perceptual import PerceptualDistance
     from spotlight_bench.results import RESULTS_FILE, ResultStore
@@ -98,6 +100,8 @@ def evaluate(
         "steps": options.steps_for(backbone.spec),
         "seed": seed,
         "data": data.name,
+        "data_fingerprint": fingerprint(data),
+        "version": version("spotlight-relight"),
     }
     output.mkdir(parents=True, exist_ok=True)
     store = ResultStore(output / RESULTS_FILE, settings, resume=resume)

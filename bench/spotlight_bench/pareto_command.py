@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -87,6 +88,7 @@ def pareto(
     Example: spotlight-bench pareto testset --quick -o quick
     """
     from spotlight_bench.backbone import Backbone
+    from spotlight_bench.dataset import fingerprint
     from spotlight_bench.pareto_grid import FULL, QUICK, candidates
     from spotlight_bench.perceptual import PerceptualDistance
     from spotlight_runtime import RelightOptions
@@ -99,7 +101,7 @@ def pareto(
     reusing = [each.facts["name"] for each in opened if "denoiser_shallow" in each.networks]
     chosen = candidates(QUICK if quick else FULL, own_steps, names, reusing)
     backbones = dict(zip(names, opened))
-    run = _Run(backbones, RelightOptions(), output, resume)
+    run = _Run(backbones, RelightOptions(), fingerprint(data), output, resume)
     size = _or(scenes, QUICK_SCENES if quick else SCENES)
     lights = _or(azimuths, QUICK_AZIMUTHS if quick else AZIMUTHS)
     first = _or(screen, 0 if quick else SCREEN_SCENES)
@@ -137,6 +139,7 @@ class _Run:
 
     backbones: Mapping[str, Backbone]
     options: RelightOptions
+    data_fingerprint: str
     output: Path
     resume: bool
 
@@ -158,6 +161,8 @@ class _Run:
                 for name, each in self.backbones.items()
             ],
             "st_lpips": metric is not None,
+            "data_fingerprint": self.data_fingerprint,
+            "version": version("spotlight-relight"),
         }
         there = (self.output / file).is_file()
         store = ResultStore(self.output / file, settings, resume=self.resume and there)

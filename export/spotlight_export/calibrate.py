@@ -1,4 +1,4 @@
-"""Ranges of activations over real trajectories."""
+"""Ranges of activations over whole denoising loops on made-up maps and noise."""
 
 from __future__ import annotations
 

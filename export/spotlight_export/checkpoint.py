@@ -17,6 +17,7 @@ from spotlight_export.errors import (
     ConditioningChannelsError,
     MissingWeightsError,
 )
+from spotlight_export.hub import WEIGHT_FILES, fetch, weight_file
 from spotlight_export.prompt import empty_prompt
 from spotlight_export.quiet import quiet_libraries
 from spotlight_spec import BACKBONES, BackboneSpec
@@ -26,7 +27,6 @@ __all__ = ["PARTS", "Checkpoint", "open_checkpoint"]
 PARTS: Final = ("text_encoder", "vae", "controlnet", "unet")
 """Networks a fingerprint covers, in the order they are loaded."""
 
-WEIGHT_FILES: Final = ("diffusion_pytorch_model", "model", "pytorch_model")
 HUB_ID: Final = re.compile(r"[\w.-]+/[\w.-]+")
 
 
@@ -129,17 +129,8 @@ def _local_folder(source: str, parts: tuple[str, ...]) -> Path:
             f"{source} is not a folder; expected a checkpoint as diffusers writes it "
             f"({', '.join(parts)}) or a hub id like owner/name"
         )
-    from huggingface_hub import snapshot_download
-
-    suffixes = ("*.json", "*.txt", "*.safetensors")
     try:
-        return Path(
-            snapshot_download(
-                source,
-                allow_patterns=[*(f"{p}/{s}" for p in parts for s in suffixes), *suffixes],
-                ignore_patterns=["*.fp16.*", "*non_ema*"],
-            )
-        )
+        return fetch(source, parts)
     except Exception as error:
         raise MissingWeightsError(
             f"{source} is neither a folder here nor a checkpoint the hub gives out "
@@ -184,7 +175,14 @@ def _network_class(part: str) -> Any:
 
 
 def _load(network_class: Any, folder: Path) -> nn.Module:
-    file, variant = _weight_file(folder)
+    preferred = weight_file([path.name for path in folder.iterdir() if path.is_file()])
+    if preferred is None:
+        found = ", ".join(sorted(path.name for path in folder.iterdir())) or "nothing"
+        raise MissingWeightsError(
+            f"{folder} has no weights; expected {WEIGHT_FILES[0]}.safetensors or .bin, found "
+            f"{found}. Download the checkpoint again"
+        )
+    file, variant = preferred
     with quiet_libraries():
         try:
             network, report = network_class.from_pretrained(
@@ -210,26 +208,6 @@ def _load(network_class: Any, folder: Path) -> nn.Module:
             "files again"
         )
     return network.eval().requires_grad_(False)
-
-
-def _weight_file(folder: Path) -> tuple[str, str | None]:
-    """First weight file in order of preference, and the variant diffusers knows it by."""
-    for variant, suffix in (
-        (None, ".safetensors"),
-        (None, ".safetensors.index.json"),
-        (None, ".bin"),
-        (None, ".bin.index.json"),
-        ("fp16", ".fp16.safetensors"),
-        ("fp16", ".fp16.bin"),
-    ):
-        for stem in WEIGHT_FILES:
-            if (folder / f"{stem}{suffix}").is_file():
-                return f"{stem}{suffix}", variant
-    found = ", ".join(sorted(p.name for p in folder.iterdir())) or "nothing"
-    raise MissingWeightsError(
-        f"{folder} has no weights; expected {WEIGHT_FILES[0]}.safetensors or .bin, found {found}. "
-        "Download the checkpoint again"
-    )
 
 
 def _digest(network: nn.Module) -> str:

@@ -17,7 +17,9 @@ from spotlight_spec import BACKBONES, Manifest, ParityRow
 __all__ = ["app"]
 
 Precision = Literal["fp32", "fp16", "int8"]
-NAMES = ", ".join(["zerocomp", *BACKBONES])
+NAMES = ", ".join(
+    ["zerocomp", *(n for n, spec in BACKBONES.items() if spec.conditioning_layout == "controlnet")]
+)
 
 
 class _BackboneOrCommand(TyperGroup):

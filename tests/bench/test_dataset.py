@@ -7,7 +7,7 @@ import pytest
 from support.scenes import make_scene
 
 from bench.published import AZIMUTHS, lit
-from spotlight_bench.dataset import find_scenes, has_directions, load_scene
+from spotlight_bench.dataset import find_scenes, fingerprint, has_directions, load_scene
 from spotlight_bench.errors import DataError
 from spotlight_bench.evaluate import plan
 from spotlight_runtime import write_image
@@ -47,6 +47,23 @@ def test_a_folder_without_scenes_says_how_to_come_by_some(tmp_path):
     for folder in (tmp_path, tmp_path / "missing"):
         with pytest.raises(DataError, match=r"export-testset.*testset"):
             find_scenes(folder)
+
+
+def test_a_fingerprint_tells_sets_of_the_same_names_apart(testset, tmp_path):
+    copy = shutil.copytree(testset, tmp_path / "elsewhere")
+    found = [fingerprint(testset)]
+    assert fingerprint(copy) == found[0]
+    file = copy / "room_1" / "shadow_positive_0000.png"
+    size = file.stat().st_size
+    file.write_bytes(bytes(size))
+    found.append(fingerprint(copy))
+    file.write_bytes(bytes(size + 1))
+    found.append(fingerprint(copy))
+    file.rename(file.with_name("other.png"))
+    found.append(fingerprint(copy))
+    shutil.rmtree(file.parent)
+    found.append(fingerprint(copy))
+    assert len(set(found)) == len(found)
 
 
 def test_a_missing_shadow_is_named(broken):

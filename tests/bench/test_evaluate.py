@@ -153,6 +153,22 @@ def test_a_stopped_run_goes_on_to_the_same_figures(run, finished, testset, tmp_p
     assert (output / "methods.csv").read_bytes() == (finished / "methods.csv").read_bytes()
 
 
+def test_results_of_another_set_or_version_are_not_gone_on_with(run, finished, testset, tmp_path):
+    output = tmp_path / "out"
+    output.mkdir()
+    text = (finished / "results.jsonl").read_text()
+    (output / "results.jsonl").write_text(text)
+    other = shutil.copytree(testset, tmp_path / testset.name)
+    shadows = [other / "room_0" / f"shadow_positive_{name}.png" for name in AZIMUTHS]
+    shutil.copy(*shadows[:2])
+    arguments = ("--methods", METHODS, "--user-scenes", 1, "--resume")
+    refused = run(other, output, *arguments)
+    assert "of another run: data_fingerprint" in str(refused.exception)
+    (output / "results.jsonl").write_text(text.replace('"version": "', '"version": "0.0.', 1))
+    refused = run(testset, output, *arguments)
+    assert "of another run: version" in str(refused.exception)
+
+
 def test_a_folder_of_pictures_is_scored_as_the_method_that_made_them(
     run, finished, testset, tmp_path
 ):

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -248,8 +249,8 @@ def run(slow_folder, testset, tmp_path_factory):
     app.command()(pareto)
     cache = {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
 
-    def call(output, *arguments):
-        given = [str(testset), "--model", str(slow_folder), "-o", str(output), "--threads", "1"]
+    def call(output, *arguments, data=testset):
+        given = [str(data), "--model", str(slow_folder), "-o", str(output), "--threads", "1"]
         given += [str(argument) for argument in arguments]
         return CliRunner(env=cache).invoke(app, given)
 
@@ -320,3 +321,15 @@ def test_a_stopped_run_goes_on_and_a_finished_one_makes_nothing(run, finished, t
     assert set(again) == set(once)
     for key, found in again.items():  # ST-LPIPS of another batch differs in the last bits
         assert found == pytest.approx(once[key], rel=1e-4)
+
+
+def test_results_of_another_set_are_not_gone_on_with(run, finished, testset, tmp_path):
+    output = tmp_path / "out"
+    output.mkdir()
+    shutil.copy(finished / "results.jsonl", output)
+    other = shutil.copytree(testset, tmp_path / testset.name)
+    (other / "room_0" / "shadow_positive_0000.png").write_bytes(b"another")
+    refused = run(output, "--quick", "--resume", data=other)
+    assert "of another run: data_fingerprint" in str(refused.exception)
+    first, *_ = (output / "results.jsonl").read_text().splitlines()
+    assert json.loads(first)["settings"]["version"] == version("spotlight-relight")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -21,6 +22,12 @@ def test_help_shows_the_first_command_to_type():
     assert "spotlight-export zerocomp --base" in result.output
     for command in ("verify", "quantise"):
         assert command in result.output
+
+
+def test_help_offers_backbones_that_can_be_exported():
+    told = runner.invoke(app, ["export", "--help"]).output
+    assert "zerocomp-interiorverse" in "".join(told.split())  # wrapped at hyphens
+    assert not re.search(r"\bmini\b", told)
 
 
 @pytest.mark.parametrize("words", [["zerocomp-openrooms"], ["zerocomp"], ["export"], ["verify"]])

@@ -153,6 +153,39 @@ def test_export_writes_the_published_layout(tmp_path):
     np.testing.assert_allclose(channels["depth.B"], record.object.depth * alpha, atol=2e-3)
 
 
+def test_a_scene_of_an_external_object_is_exported_with_its_mesh(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="external objects are read by trimesh")
+    testing = pytest.importorskip("typer.testing", reason="the command line needs typer")
+    from spotlight_runtime import Scene
+    from spotlight_training.cli import app
+
+    (tmp_path / "objects").mkdir()
+    trimesh.creation.box(extents=(0.4, 0.8, 0.2)).export(tmp_path / "objects" / "crate.glb")
+    record = make_record(SceneOptions(evaluation=True))
+    subject = dataclasses.replace(record.description.subject, kind="file:crate.glb")
+    description = dataclasses.replace(record.description, subject=subject)
+    path = tmp_path / "000002.scene.zip"
+    dataclasses.replace(record, description=description).save(path)
+    command = ["export-scene", str(path), "-o", str(tmp_path / "scene")]
+    refused = testing.CliRunner().invoke(app, command)
+    assert "Pass --objects DIR" in str(refused.exception)
+    done = testing.CliRunner().invoke(app, [*command, "--objects", str(tmp_path / "objects")])
+    assert done.exception is None, done.output
+    assert len(Scene.load(tmp_path / "scene").object_mesh.faces) == 12
+
+
+def test_packed_are_records_of_the_side_that_trainings_open(tmp_path):
+    from spotlight_training.data import Packed, pack
+
+    path = record_path(tmp_path, "test", 2)
+    make_record().save(path)
+    out = tmp_path / "packed" / "test.pack"
+    with pytest.raises(ValueError, match="256×256 pixels, found 24×24; render it with --size 256"):
+        pack(path.parent, out)
+    assert list(out.parent.iterdir()) == []
+    assert pack(path.parent, out, side=SIDE) == len(Packed(out, side=SIDE)) == 1
+
+
 def test_export_names_an_empty_folder(tmp_path):
     pytest.importorskip("OpenEXR", reason="the test-set exporter writes OpenEXR")
     from spotlight_training.render.testset import export_folder

@@ -1,6 +1,8 @@
 """The trainings learn, resume, and end as a model the runtime runs."""
 
 import json
+import shutil
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -18,12 +20,14 @@ from spotlight_training.data import (  # noqa: E402
     SIDE,
     IntrinsicsData,
     Packed,
+    PictureData,
     RendererData,
     draw_picture,
 )
 from spotlight_training.data import _scene_dtype as scene_dtype  # noqa: E402
 from spotlight_training.loop import TrainingOptions, train  # noqa: E402
 from spotlight_training.networks import VAE, IntrinsicsNet  # noqa: E402
+from spotlight_training.objectives import vae_loss  # noqa: E402
 from spotlight_training.restore import restore  # noqa: E402
 from spotlight_training.ship import ship  # noqa: E402
 
@@ -128,13 +132,62 @@ def test_a_start_is_as_much_brighter_in_pictures(trained):
 
 
 def test_a_killed_run_goes_on_where_it_stopped(packed, tmp_path):
-    def options(steps):
-        return TrainingOptions(steps=steps, batch=1, sample_every=1, warmup=1, samples=1)
+    options = TrainingOptions(steps=5, batch=1, sample_every=2, warmup=1)
+    draw, no_sheet = PictureData(Packed(packed), 64), lambda *_: None
+    network = VAE(4, 8)
+    whole = train(deepcopy(network), vae_loss, draw, tmp_path / "whole", options, no_sheet)
+    left = iter(range(3))
 
-    for steps in (1, 2):
-        runs.train_vae(packed, packed, tmp_path / "run", options(steps), latent=4, width=8, side=64)
-    lines = (tmp_path / "run" / "loss.csv").read_text().splitlines()
-    assert [line.split(",")[0] for line in lines] == ["step", "0", "1"]
+    def killed(*given):
+        if next(left, None) is None:
+            raise RuntimeError("killed")
+        return vae_loss(*given)
+
+    with pytest.raises(RuntimeError, match="killed"):
+        train(network, killed, draw, tmp_path / "killed", options, no_sheet)
+    # Of other weights: all that is the same in the end comes from the checkpoint.
+    resumed = train(VAE(4, 8), vae_loss, draw, tmp_path / "killed", options, no_sheet)
+    torch.testing.assert_close(resumed.state_dict(), whole.state_dict(), rtol=0, atol=0)
+    rows, again = ((tmp_path / run / "loss.csv").read_text() for run in ("whole", "killed"))
+    assert again == rows
+    assert [line.split(",")[0] for line in rows.splitlines()] == ["step", *"01234"]
+
+
+def stop_at_once(packed, run):
+    """A VAE run that ends in its first step: no crop of a scene is that large."""
+    options = TrainingOptions(steps=4, batch=1, samples=1)
+    with pytest.raises(ValueError, match="low >= high"):
+        runs.train_vae(packed, packed, run, options, latent=4, width=8, side=2 * SIDE)
+
+
+def test_a_vae_that_was_stopped_has_latents_and_no_decoder_to_ship(packed, trained, tmp_path):
+    renderer, _ = runs.load_renderer(trained / "renderer")
+    stop_at_once(packed, tmp_path / "stopped")
+    none = TrainingOptions(steps=0, samples=1)
+    runs.train_vae(packed, packed, tmp_path / "latents", none, latent=4, width=8, side=64)
+    for run in ("stopped", "latents"):
+        vae, _ = runs.load_vae(tmp_path / run)
+        assert torch.equal(vae.analysis.weight, renderer.vae.analysis.weight)
+        with pytest.raises(ValueError, match=f"{run}: expected a trained decoder"):
+            runs.take_decoder(renderer, tmp_path / run)
+
+
+def test_resuming_a_vae_leaves_what_was_finished_until_it_is_again(packed, trained, tmp_path):
+    run = shutil.copytree(trained / "vae", tmp_path / "vae")
+    finished = (run / "model.safetensors").read_bytes()
+    stop_at_once(packed, run)
+    assert (run / "model.safetensors").read_bytes() == finished
+    renderer, _ = runs.load_renderer(trained / "renderer")
+    runs.take_decoder(renderer, run)
+    decoder, _ = runs.load_vae(run)
+    torch.testing.assert_close(renderer.vae.state_dict(), decoder.state_dict())
+
+
+def test_a_decoder_of_other_latents_is_refused(trained, tmp_path):
+    renderer, _ = runs.load_renderer(trained / "renderer")
+    runs.save_run(tmp_path, VAE(4, 8), {"latent": 4, "width": 8})
+    with pytest.raises(ValueError, match="its latents are not those"):
+        runs.take_decoder(renderer, tmp_path)
 
 
 def test_run_folders_show_curve_and_samples(trained):
@@ -176,8 +229,10 @@ def test_shipped_model_is_verified_and_relights(trained, tmp_path):
     )
     assert reused.plan.shallow == 3
     assert np.isfinite(reused.image).all()
-    _, folder, _ = restore(tmp_path / "mini", tmp_path / "again")
-    again = runs.load_renderer(folder)[0].state_dict()
+    vae, folder, _ = restore(tmp_path / "mini", tmp_path / "again")
+    restored, _ = runs.load_renderer(folder)
+    runs.take_decoder(restored, vae)
+    again = restored.state_dict()
     for name, value in renderer.state_dict().items():
         torch.testing.assert_close(again[name], value, rtol=1e-3, atol=1e-6)
     again = runs.load_estimator(tmp_path / "again/intrinsics").state_dict()

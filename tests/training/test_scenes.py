@@ -107,3 +107,26 @@ def test_azimuth_follows_the_published_convention():
 def test_unknown_split_and_negative_seed_are_refused(split, seed):
     with pytest.raises(ValueError, match="expected"):
         describe(split, seed)
+
+
+def test_external_objects_belong_to_one_split_by_their_names():
+    names = ("chair.glb", "chair/chair.gltf", "car.obj", "duck/scene.gltf")
+    options = SceneOptions(file_extents=dict.fromkeys(names, (0.4, 0.4, 0.4)))
+    drawn = {
+        split: {describe(split, seed, options).subject.kind for seed in range(24)}
+        for split in kinds.SPLITS
+    }
+    assert {
+        split: {kind for kind in found if kind.startswith("file:")}
+        for split, found in drawn.items()
+    } == {
+        "train": {"file:chair.glb", "file:chair/chair.gltf"},
+        "val": {"file:car.obj"},
+        "test": {"file:duck/scene.gltf"},
+    }
+
+
+def test_a_split_without_external_objects_is_named():
+    options = SceneOptions(file_extents={"chair.glb": (0.4, 0.4, 0.4)})
+    with pytest.raises(ValueError, match=r"split 'val' by .*, got train 1, val 0, test 0\. Add"):
+        describe("val", 0, options)

@@ -55,11 +55,13 @@ def judge(records, capsys):
         record = SceneRecord.load(path)
         rows = compare(record)
         errors.append(rows[:, 2].max())
+        told = "–"
         if rows[:, 1].sum() >= LEAST_PIXELS:
             ious.append(rows[:, 0].sum() / rows[:, 1].sum())
+            told = f"{ious[-1]:.3f}"
         with capsys.disabled():
             kind = record.description.subject.kind
-            print(f"{path.name} {kind}: IoU {ious[-1]:.3f}, error {errors[-1]:.4f}")
+            print(f"{path.name} {kind}: IoU {told}, error {errors[-1]:.4f}")
     with capsys.disabled():
         print(
             f"{len(ious)} scenes: IoU mean {np.mean(ious):.3f}, median {np.median(ious):.3f}, "

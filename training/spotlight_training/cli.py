@@ -52,7 +52,11 @@ def render(
     ] = "fast",
     variant: Annotated[str, typer.Option(help="Renderer back end: auto, cuda or llvm.")] = "auto",
     objects: Annotated[
-        Path | None, typer.Option(help="Folder of glTF or OBJ objects to insert as well.")
+        Path | None,
+        typer.Option(
+            help="Folder of glTF or OBJ objects to insert as well. Each goes to one split by a "
+            "hash of its name: eight in ten to train, one in ten each to val and test."
+        ),
     ] = None,
     hdris: Annotated[Path | None, typer.Option(help="Folder of the panoramas.")] = None,
     no_hdris: Annotated[bool, typer.Option("--no-hdris", help="Use gradient skies only.")] = False,
@@ -138,23 +142,25 @@ def export_scene(
     record: Annotated[Path, typer.Argument(help="A rendered record, NNNNNN.scene.zip.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Scene folder to write.")],
     light: Annotated[str, typer.Option(help="The light of the photograph.")] = "gt_dir",
+    objects: Annotated[
+        Path | None, typer.Option(help="Folder of objects, where `render --objects` had one.")
+    ] = None,
 ) -> None:
     """Write a record as a scene for `spotlight relight`, with the object's mesh."""
     from .render.bundle import export_bundle
 
-    typer.echo(str(export_bundle(record, output, light)))
+    typer.echo(str(export_bundle(record, output, light, objects)))
 
 
 @app.command()
 def pack(
     records: Annotated[Path, typer.Argument(help="Folder of rendered scenes of one split.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Packed file to write.")],
-    lights: Annotated[int, typer.Option(help="Lights taken from each scene.")] = 6,
 ) -> None:
     """Pack rendered scenes into one memory-mapped file to train from."""
     from .data import pack as pack_records
 
-    typer.echo(f"{output}: {pack_records(records, output, lights=lights)} scenes")
+    typer.echo(f"{output}: {pack_records(records, output)} scenes")
 
 
 Data = Annotated[Path, typer.Option("--data", help="Packed training scenes.")]

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.diffusion.conditioning import stack_maps
-from spotlight_spec import BackboneSpec
+from spotlight_spec import BackboneSpec, replacing
 from spotlight_training.masks import random_mask
 
 __all__ = [
@@ -90,6 +90,8 @@ def pack(records: Path, out: Path, *, lights: int = LIGHTS, side: int = SIDE) ->
     ------
     FileNotFoundError
         If there is no record.
+    ValueError
+        If a record is of another side.
     """
     from rich.progress import track
 
@@ -101,18 +103,22 @@ def pack(records: Path, out: Path, *, lights: int = LIGHTS, side: int = SIDE) ->
             f"{records}: expected rendered scenes (*{SUFFIX}), found none. "
             "Render them with 'spotlight-train render'."
         )
-    partial = out.with_name(out.name + ".partial")
-    partial.parent.mkdir(parents=True, exist_ok=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
     count = 0
-    with partial.open("wb") as stream:
+    with replacing(out) as partial, partial.open("wb") as stream:
         for path in track(paths, description="packing"):
             try:
                 record = SceneRecord.load(path)
             except (ValueError, KeyError, OSError):
                 continue
+            found = record.object.alpha.shape[0]
+            if found != side:
+                raise ValueError(
+                    f"{path}: expected a scene of {side}×{side} pixels, found {found}×{found}; "
+                    f"render it with --size {side}"
+                )
             stream.write(_packed(record, side, lights).tobytes())
             count += 1
-    partial.replace(out)
     return count
 
 

@@ -21,10 +21,11 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
-__all__ = ["TrainingOptions", "train"]
+__all__ = ["CHECKPOINT_FILE", "TrainingOptions", "train"]
 
 Batch = dict[str, Tensor]
 Draw = Callable[[np.random.Generator], dict[str, Any]]
+CHECKPOINT_FILE: Final = "checkpoint.pt"
 PRINT_EVERY: Final = 50
 """Steps between lines where no terminal shows the bar."""
 
@@ -196,15 +197,15 @@ def _save(
         "optimiser": optimiser.state_dict(),
         "steps_done": steps_done,
     }
-    partial = run / "checkpoint.pt.partial"
+    partial = run / f"{CHECKPOINT_FILE}.partial"
     torch.save(state, partial)
-    partial.replace(run / "checkpoint.pt")
+    partial.replace(run / CHECKPOINT_FILE)
 
 
 def _resume(
     run: Path, model: nn.Module, averaged: nn.Module, optimiser: Any, device: torch.device
 ) -> int:
-    path = run / "checkpoint.pt"
+    path = run / CHECKPOINT_FILE
     if not path.is_file():
         return 0
     state = torch.load(path, map_location=device, weights_only=True)

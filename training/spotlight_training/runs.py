@@ -1,7 +1,8 @@
 """The three trainings: which data, which network, which objective, and where the result goes.
 
 A run folder is resumable: calling the same function again goes on from its checkpoint. The averaged
-weights are saved as ``model.safetensors`` with the network's shape in its metadata.
+weights are saved as ``model.safetensors``; its metadata have the network's shape, and whether the
+weights were trained.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from torch.nn import functional
 from spotlight_runtime.diffusion.schedule import alphas_cumprod
 from spotlight_spec import BACKBONES, BackboneSpec
 from spotlight_training.data import IntrinsicsData, Packed, PictureData, RendererData
-from spotlight_training.loop import TrainingOptions, train
+from spotlight_training.loop import CHECKPOINT_FILE, TrainingOptions, train
 from spotlight_training.networks import PATCH, VAE, ConditionEncoder, Denoiser, IntrinsicsNet
 from spotlight_training.objectives import (
     Renderer,
@@ -65,7 +66,7 @@ def train_vae(
 ) -> None:
     """Fit the VAE's latents to packed pictures and train its decoder; see `TrainingOptions`.
 
-    The latents are saved before the decoder is trained: the renderer needs no more to begin.
+    A new run saves its latents before the decoder is trained: the renderer needs no more to begin.
 
     Parameters
     ----------
@@ -88,7 +89,8 @@ def train_vae(
     else:
         _load(network, start / MODEL_FILE)
     shape = {"latent": latent, "width": width}
-    save_run(run, network, shape)
+    if not any((run / name).is_file() for name in (CHECKPOINT_FILE, MODEL_FILE)):
+        save_run(run, network, shape, trained=False)
     model = train(
         network,
         vae_loss,
@@ -97,7 +99,9 @@ def train_vae(
         options,
         vae_sheet(samples, options.device),
     )
-    save_run(run, model, shape)
+    # Without a step there is no checkpoint, and the decoder is as good as the one it started from.
+    stepped = (run / CHECKPOINT_FILE).is_file()
+    save_run(run, model, shape, trained=stepped or (start is not None and _is_trained(start)))
 
 
 def train_renderer(
@@ -254,25 +258,36 @@ def _patches(draw: PictureData, count: int = 192) -> torch.Tensor:
     return columns.transpose(1, 2).flatten(0, 1).double()
 
 
-def save_run(run: Path, model: nn.Module, shape: dict[str, Any]) -> None:
-    """Write a run's weights, and in their metadata the network's shape."""
+def save_run(run: Path, model: nn.Module, shape: dict[str, Any], *, trained: bool = True) -> None:
+    """Write a run's weights; in their metadata the network's shape and whether it was trained."""
     run.mkdir(parents=True, exist_ok=True)
     partial = run / f"{MODEL_FILE}.partial"
     # A renderer holds the VAE's encoder twice; safetensors stores no aliases.
     weights = {name: value.cpu().clone() for name, value in model.state_dict().items()}
-    save_file(weights, partial, metadata={"shape": json.dumps(shape)})
+    metadata = {"shape": json.dumps(shape), "trained": json.dumps(trained)}
+    save_file(weights, partial, metadata=metadata)
     partial.replace(run / MODEL_FILE)
 
 
 def _read_shape(run: Path) -> dict[str, Any]:
+    shape: dict[str, Any] = json.loads(_metadata(run)["shape"])
+    return shape
+
+
+def _is_trained(run: Path) -> bool:
+    """Whether a run's weights were trained; those of runs that do not say are taken to be."""
+    return bool(json.loads(_metadata(run).get("trained", "true")))
+
+
+def _metadata(run: Path) -> dict[str, str]:
     path = run / MODEL_FILE
     if not path.is_file():
         raise FileNotFoundError(
             f"{path}: expected a finished training; run its 'spotlight-train' command to the end"
         )
     with safe_open(path, framework="pt") as file:
-        shape: dict[str, Any] = json.loads(file.metadata()["shape"])
-    return shape
+        metadata: dict[str, str] = file.metadata()
+    return metadata
 
 
 def _load(model: nn.Module, path: Path) -> None:
@@ -303,9 +318,14 @@ def take_decoder(renderer: Renderer, vae: Path) -> None:
     Raises
     ------
     ValueError
-        If the VAE's latents are others.
+        If the VAE's decoder was not trained, or its latents are others.
     """
     trained, _ = load_vae(vae)
+    if not _is_trained(vae):
+        raise ValueError(
+            f"{vae}: expected a trained decoder, found one whose training took no step or did not "
+            "end; run its 'spotlight-train vae' command to the end, or another with --start at it"
+        )
     if not torch.equal(trained.analysis.weight, renderer.vae.analysis.weight):
         raise ValueError(
             f"{vae}: its latents are not those the renderer was trained on; "

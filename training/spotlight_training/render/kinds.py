@@ -6,7 +6,9 @@ did.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -104,6 +106,23 @@ HDRIS: dict[str, tuple[str, ...]] = {
     "val": ("courtyard", "sunrise"),
     "test": ("courtyard", "sunrise"),
 }
+
+FILE_SHARES = ("val", "test", *8 * ("train",))
+"""Splits by the remainder of an external object's hash."""
+
+
+def file_split(name: str) -> str:
+    """Return the split of an external object, by a hash of its name.
+
+    Parameters
+    ----------
+    name : str
+        Relative path of its file. The name is that of the outermost folder, or else the file's
+        without its ending, so that what is stored in several formats stays together.
+    """
+    own = PurePosixPath(PurePosixPath(name).parts[0]).stem
+    digest = hashlib.sha256(own.encode()).digest()
+    return FILE_SHARES[int.from_bytes(digest[:4]) % len(FILE_SHARES)]
 
 
 def generator(kind: str) -> Generator:

@@ -55,8 +55,8 @@ class SceneOptions:
     use_hdris : bool
         Draw ambient light from the split's HDR panoramas as well as from gradient skies.
     file_extents : mapping of str to (x, y, z)
-        Bounding-box sides of external objects in metres, by file name; they make up half of the
-        scenes.
+        Bounding-box sides of external objects in metres, by file name. Those of the scene's split
+        (`kinds.file_split`) make up half of its scenes.
     """
 
     lights: int = 4
@@ -71,7 +71,7 @@ def describe(split: str, seed: int, options: SceneOptions | None = None) -> Scen
     Raises
     ------
     ValueError
-        If the split is unknown or the seed is negative.
+        If the split is unknown or has none of the external objects, or the seed is negative.
     """
     options = options or SceneOptions()
     if split not in kinds.SPLITS:
@@ -134,7 +134,7 @@ def _choose_subject(rng: Rng, split: str, options: SceneOptions) -> tuple[str, i
     weights = np.array([kinds.KIND_WEIGHTS.get(name, 1.0) for name in names])
     kind = names[rng.choice(len(names), p=weights / weights.sum())]
     size = float(rng.uniform(*kinds.SIZES.get(kind, kinds.DEFAULT_SIZE)))
-    files = sorted(options.file_extents)
+    files = _files(split, options)
     if files and rng.random() < 0.5:
         kind = f"file:{files[rng.integers(len(files))]}"
         own = max(options.file_extents[kind.removeprefix("file:")])
@@ -147,6 +147,19 @@ def _choose_subject(rng: Rng, split: str, options: SceneOptions) -> tuple[str, i
         else float(rng.uniform(-180, 180))
     )
     return kind, int(rng.integers(2**31)), size, yaw
+
+
+def _files(split: str, options: SceneOptions) -> list[str]:
+    """Return the external objects of a split, by file name."""
+    splits = {name: kinds.file_split(name) for name in sorted(options.file_extents)}
+    files = [name for name, own in splits.items() if own == split]
+    if splits and not files:
+        counts = ", ".join(f"{each} {[*splits.values()].count(each)}" for each in kinds.SPLITS)
+        raise ValueError(
+            f"objects: expected some of split {split!r} by the hash of their names, got {counts}. "
+            "Add objects, rename one, or leave out --objects for this split."
+        )
+    return files
 
 
 def _support(rng: Rng, kind: str, extent: Array) -> tuple[tuple[Panel, ...], float]:

@@ -160,6 +160,7 @@ def _meta(scene: SceneDescription, light: str, exposure: float) -> dict[str, Any
         if one.name != OPPOSITE
     }
     return {
+        "maps": "rendered",
         "seed": scene.seed,
         "split": scene.split,
         "fov": scene.camera.fov,

@@ -138,12 +138,15 @@ class ShadingSpec:
 
     ``known`` says where the network is told the shading: everywhere but object and shadow
     (``outside``, relighting an inserted object) or only there (``inside``, the inverted-mask
-    checkpoint that relights the whole image around them).
+    checkpoint that relights the whole image around them). ``usual_light``: median of linear
+    background ÷ albedo that an albedo of unknown scale is brought to; 0: it is taken as given, by
+    backbones trained on estimates.
     """
 
     background_encoding: ImageEncoding = "gamma22"
     epsilon: float = 1e-6
     known: Literal["outside", "inside"] = "outside"
+    usual_light: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,7 @@ BACKBONES: Final[dict[str, BackboneSpec]] = {
             maps=(DEPTH, NORMAL, ALBEDO, SHADING, MASK, ROUGHNESS, METALLIC),
             latent=LatentSpec(channels=16, downscale=8, scaling_factor=1.0),
             schedule=ScheduleSpec(set_alpha_to_one=True),
+            shading=ShadingSpec(usual_light=1.15),
             conditioning_layout="latent_concat",
             size=256,
             light_reach=8.0,

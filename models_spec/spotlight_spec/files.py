@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,7 +40,8 @@ def replacing(path: Path, *, keep_suffix: bool = False) -> Iterator[Path]:
     """Yield a name beside ``path`` to write to, which takes its place when the block succeeds.
 
     No other writer uses that name, so two may write the same file at once: the later one wins,
-    whole. If the block fails, nothing of it is left.
+    whole. If the block fails, nothing of it is left. Of a link, the file that it leads to is
+    replaced; a pipe or a device is written to as it is.
 
     Parameters
     ----------
@@ -53,18 +54,20 @@ def replacing(path: Path, *, keep_suffix: bool = False) -> Iterator[Path]:
     OSError
         If the folder cannot be written to.
     """
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    target = Path(os.path.realpath(path))
+    suffix = ".partial" + (path.suffix if keep_suffix else "")
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(4)}{suffix}")
     try:
-        suffix = ".partial" + (path.suffix if keep_suffix else "")
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=suffix)
+        partial.touch(exist_ok=False)  # with the rights that the umask leaves, not mkstemp's
     except OSError as error:
         error.filename = str(path)  # the name its caller knows
         raise
-    os.close(handle)
-    partial = Path(name)
     try:
-        partial.chmod(0o644)  # mkstemp makes files that only their owner may read
         yield partial
-        partial.replace(path)
+        partial.replace(target)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -142,6 +142,18 @@ def test_estimated_maps_are_stored_with_the_detail_they_have(tmp_path):
     np.testing.assert_allclose(loaded.object_maps.depth, scene.object_maps.depth, atol=1e-5)
 
 
+@pytest.mark.parametrize("guessed", [(), ("normal",), ("albedo", "depth")])
+def test_maps_that_are_not_estimated_keep_every_detail(tmp_path, guessed):
+    scene = large_scene()
+    save_bundle(scene, tmp_path, working_side=400, estimated=guessed)
+    loaded = Scene.load(tmp_path).background_maps
+    for name, value in vars_of(scene.background_maps):
+        off = np.abs(getattr(loaded, name) - value).max()
+        smooth = name in ("roughness", "metallic", "normal")  # as this scene has them
+        assert (off < 1e-4) == (smooth or name not in guessed), name
+    assert (tmp_path / "background_albedo.jpg").exists() == ("albedo" in guessed)
+
+
 @pytest.mark.parametrize("name", ["p.jpg", "p.png", "p.webp"])
 def test_photograph_is_kept_as_it_came(tmp_path, rng, name):
     write_image(tmp_path / name, rng.random((64, 96, 3), dtype=np.float32))

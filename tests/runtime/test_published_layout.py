@@ -104,7 +104,8 @@ def test_plain_footprint_is_taken_as_it_is(tmp_path, scene):
 
 
 def test_slightly_overshooting_albedo_and_mask_are_clipped(tmp_path, scene):
-    albedo = rgba(1.02 * np.ones_like(scene.background), scene.object_mask)
+    white = np.broadcast_to(1.02 * scene.object_mask[..., None], scene.background.shape)
+    albedo = rgba(white, scene.object_mask)
     mask = scene.object_mask * 1.01 - 0.005
     loaded = Scene.load(write_published(tmp_path / "s", scene, albedo=albedo, mask=mask))
     assert loaded.object_maps.albedo.max() == 1.0

@@ -37,7 +37,7 @@ def test_any_mask_becomes_a_closed_mesh(height, width, seed):
         known.ball_scene(8),
         background=grey,
         background_maps=Intrinsics(grey, depth=np.full((height, width), 5.0, np.float32)),
-        object_maps=Intrinsics(grey, depth=mask * depth),
+        object_maps=Intrinsics(mask[..., None] * grey, depth=mask * depth),
         object_mask=mask,
         object_mesh=None,
     )

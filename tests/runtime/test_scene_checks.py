@@ -178,3 +178,20 @@ def test_scene_that_fits_is_not_copied():
 def test_scenes_cannot_be_changed_under_a_relight(small):
     with pytest.raises(AttributeError):
         small.name = "other"
+
+
+@pytest.mark.parametrize("name", ["albedo", "normal", "depth", "roughness"])
+def test_object_maps_that_go_on_beside_the_object_are_refused(small, name):
+    """They would be added to the photograph's own."""
+    whole = {name: getattr(small.background_maps, name)}
+    with pytest.raises(InvalidInputError, match=f"object {name}: expected 0 .*multiply the map by"):
+        replace(small, object_maps=replace(small.object_maps, **whole))
+
+
+def test_object_maps_may_go_beyond_the_mask_a_little(small):
+    """A harder mask leaves some of the edge beside it, and 8-bit normals have no zero."""
+    harder = np.where(small.object_mask > 0.5, small.object_mask, np.float32(0.0))
+    normal = np.where(small.object_mask[..., None] > 0.0, small.object_maps.normal, 1 / 255)
+    maps = replace(small.object_maps, normal=normal.astype(np.float32))
+    assert ((harder == 0.0) & (small.object_maps.albedo.max(axis=2) > 0.1)).any()
+    replace(small, object_mask=harder, object_maps=maps)

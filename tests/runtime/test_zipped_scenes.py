@@ -32,6 +32,20 @@ def test_zip_of_the_files_or_of_the_folder(folder, tmp_path, prefix):
     assert_same_scene(Scene.load(archive), Scene.load(folder))
 
 
+@pytest.mark.parametrize("prefix", ["", "chair/"])
+def test_zip_as_finder_makes_it(folder, tmp_path, prefix):
+    archive = zip_of(folder, tmp_path / "chair.zip", prefix)
+    with zipfile.ZipFile(archive, "a") as bundle_zip:
+        for name in ("._chair", "chair/._scene.json", "chair/._object_mask.png"):
+            bundle_zip.writestr(f"__MACOSX/{name}", b"\0\5\x16\7 of a file manager")
+        bundle_zip.writestr(f"{prefix}.DS_Store", b"\0\0\0\1Bud1")
+        bundle_zip.writestr(".hidden/note.txt", b"")
+    assert_same_scene(Scene.load(archive), Scene.load(folder))
+    with zipfile.ZipFile(archive) as bundle_zip:
+        names = {entry.filename for entry in unzipping.own_entries(bundle_zip)}
+    assert names == {prefix + file.name for file in folder.iterdir()}
+
+
 def test_the_suffix_does_not_matter(folder, tmp_path):
     archive = zip_of(folder, tmp_path / "chair.scene")
     assert Scene.load(str(archive)).size == (12, 16)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from spotlight_runtime.scenes.map_files import (
     write_part,
     write_reduced,
 )
-from spotlight_runtime.scenes.scene import MAP_NAMES, Intrinsics, Scene
+from spotlight_runtime.scenes.scene import MAP_NAMES, AlbedoScale, Intrinsics, Scene
 from spotlight_spec import RecordError, alone_in, decode, encode, read_json, replacing, write_json
 
 __all__ = [
@@ -69,7 +69,8 @@ class SceneFile:
 
     ``background`` has ``image`` and maps, ``object`` has ``mask`` and maps premultiplied by it;
     maps are albedo, normal, depth, roughness and metallic, of which only albedo is required.
-    ``object_geometry`` is what casts shadows, ``ground`` the floor in camera space.
+    ``albedo_scale`` is `Scene`'s, ``object_geometry`` is what casts shadows, ``ground`` the floor
+    in camera space.
     """
 
     version: Literal[1]
@@ -78,6 +79,7 @@ class SceneFile:
     background: dict[str, MapFile]
     object: dict[str, MapFile]
     name: str = "scene"
+    albedo_scale: AlbedoScale = "known"
     field_of_view: float | None = None
     footprint_depth: MapFile | None = None
     truth: MapFile | None = None
@@ -153,13 +155,19 @@ def _load_once(folder: Path) -> Scene:
         truth=read(record.truth, 3) if record.truth else None,
         field_of_view=record.field_of_view,
         name=record.name,
+        albedo_scale=record.albedo_scale,
         object_mesh=_read_geometry(folder, record.object_geometry),
         ground=record.ground,
     )
 
 
 def save_bundle(
-    scene: Scene, folder: Path, *, photograph: Path | None = None, working_side: int | None = None
+    scene: Scene,
+    folder: Path,
+    *,
+    photograph: Path | None = None,
+    working_side: int | None = None,
+    estimated: Collection[str] = MAP_NAMES,
 ) -> None:
     """Write a bundle; ``scene.json`` goes last, so an interrupted save is not taken for a scene.
 
@@ -172,8 +180,10 @@ def save_bundle(
     photograph : Path, optional
         sRGB-encoded file whose pixels are exactly the scene's background; it is copied.
     working_side : int, optional
-        Pixels of the longer side that the background's maps have details of, as an estimator's
-        have; they are stored accordingly, and not to the bit.
+        Pixels of the longer side that the estimated maps of the background have details of;
+        they are stored accordingly, and not to the bit.
+    estimated : collection of str
+        Names of those maps.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -183,7 +193,7 @@ def save_bundle(
         raise SceneError(f"{folder}: cannot be saved in: {error.strerror or error}") from error
     try:
         with alone_in(folder):
-            _save_files(scene, folder, photograph, working_side)
+            _save_files(scene, folder, photograph, dict.fromkeys(estimated, working_side))
     except SpotLightError:
         raise
     except OSError as error:
@@ -191,7 +201,7 @@ def save_bundle(
 
 
 def _save_files(
-    scene: Scene, folder: Path, photograph: Path | None, working_side: int | None
+    scene: Scene, folder: Path, photograph: Path | None, sides: Mapping[str, int | None]
 ) -> None:
     (folder / SCENE_FILE).unlink(missing_ok=True)
     box = covered_box(scene.object_mask)
@@ -203,7 +213,7 @@ def _save_files(
     else:
         jobs["background", "image"] = lambda: _copy_photograph(folder, photograph)
     for name, value in _maps_of(scene.background_maps):
-        jobs["background", name] = partial(_write_background, folder, name, value, working_side)
+        jobs["background", name] = partial(_write_background, folder, name, value, sides.get(name))
     for name, value in _maps_of(scene.object_maps):
         jobs["object", name] = partial(write_part, folder, _file(f"object_{name}"), value, box)
     if scene.footprint_depth is not None:
@@ -228,6 +238,7 @@ def _save_files(
         height=height,
         background=background,
         object=inserted,
+        albedo_scale=scene.albedo_scale,
         field_of_view=scene.field_of_view,
         footprint_depth=footprint,
         truth=truth,

@@ -7,12 +7,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -22,8 +23,9 @@ from spotlight_runtime.geometry.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from spotlight_runtime.geometry.ground import Ground
 from spotlight_runtime.geometry.mesh import ObjectMesh
 
-__all__ = ["MAP_NAMES", "Intrinsics", "ObjectMesh", "Scene"]
+__all__ = ["MAP_NAMES", "AlbedoScale", "Intrinsics", "ObjectMesh", "Scene"]
 
+AlbedoScale = Literal["known", "unknown"]
 
 MAP_NAMES: Final = ("albedo", "normal", "depth", "roughness", "metallic")
 _RANGES: Final = {
@@ -33,6 +35,10 @@ _RANGES: Final = {
     "roughness": (0.0, 1.0),
     "metallic": (0.0, 1.0),
 }
+_ENOUGH_PIXELS: Final = 1 << 16
+"""To tell whether a map was multiplied by the mask: one that was not says something all over."""
+_NOTHING: Final = 0.01
+"""Up to here; 8-bit normals have no zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +91,9 @@ class Scene:
     field_of_view : float, optional
         Horizontal, degrees.
     name : str
+    albedo_scale : {"known", "unknown"}
+        Whether the background's albedo is reflectance, or right up to a factor only, as other
+        programs' estimates are: no picture tells bright light on dark floors from the opposite.
     object_mesh : ObjectMesh, optional
         The object as triangles in camera space, to cast shadows from.
     ground : Ground, optional
@@ -99,6 +108,7 @@ class Scene:
     truth: FloatArray | None = None
     field_of_view: float | None = None
     name: str = "scene"
+    albedo_scale: AlbedoScale = "known"
     object_mesh: ObjectMesh | None = None
     ground: Ground | None = None
 
@@ -113,6 +123,7 @@ class Scene:
             object.__setattr__(self, "object_mask", np.clip(self.object_mask, 0.0, 1.0))
         self.background_maps.check(size, "background")
         self.object_maps.check(size, "object")
+        self._check_premultiplied()
         if self.footprint_depth is not None:
             check_array(self.footprint_depth, "footprint_depth", size, None, (0.0, np.inf))
         if self.truth is not None:
@@ -121,6 +132,26 @@ class Scene:
             raise InvalidInputError(
                 f"field_of_view: expected degrees between 0 and 180, got {self.field_of_view}"
             )
+
+    def _check_premultiplied(self) -> None:
+        """Raise where object maps go on beside the object: it would be added to the photograph's.
+
+        Some of the edge may: rendered masks round otherwise than maps, drawn ones are harder.
+        """
+        every = max(1, math.isqrt(self.object_mask.size // _ENOUGH_PIXELS))
+        some = np.s_[::every, ::every]
+        beside = self.object_mask[some] == 0.0
+        for name in MAP_NAMES:
+            value = getattr(self.object_maps, name)
+            if value is None:
+                continue
+            said = np.abs(value[some]).reshape(*beside.shape, -1).max(axis=2)
+            astray = beside & (said > _NOTHING * max(1.0, said.max()))
+            if 2 * np.count_nonzero(astray) > np.count_nonzero(beside):
+                raise InvalidInputError(
+                    f"object {name}: expected 0 where object_mask is 0, got up to "
+                    f"{said[astray].max():.3g}; multiply the map by the mask"
+                )
 
     @property
     def size(self) -> tuple[int, int]:

@@ -4,7 +4,8 @@ One folder a scene: ``<name>_bundle0001.exr`` with layers ``albedo depth normals
 mask footprint_depth background composite`` (premultiplied RGBA; scalar maps carry value and alpha
 in their last two channels), and beside it the background's estimates ``<name>_bg_depth.exr``,
 ``_bg_normal.png``, ``_bg_diffuse.png`` and, for some, ``_bg_roughness.png`` and
-``_bg_metallic.png``.
+``_bg_metallic.png``. The scale of an estimated albedo is unknown; where a set was rendered, and its
+maps are no estimates, ``meta.json`` says ``"maps": "rendered"``.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import SceneError
 from spotlight_runtime.imaging.images import read_exr_layers, read_image
 from spotlight_runtime.scenes.scene import Intrinsics, Scene
+from spotlight_spec import RecordError, read_json
 
 __all__ = ["bundle_file", "load_published"]
 
 
+META_FILE: Final = "meta.json"
 _BUNDLE: Final = "_bundle0001.exr"
 _REQUIRED: Final = ("background", "albedo", "mask")
 
@@ -93,7 +96,17 @@ def load_published(folder: Path, estimates: Path | None = None) -> Scene:
         footprint_depth=_footprint(layers.get("footprint_depth")),
         truth=_colour(layers["composite"]) if "composite" in layers else None,
         name=name,
+        albedo_scale="known" if _rendered(folder / META_FILE) else "unknown",
     )
+
+
+def _rendered(meta: Path) -> bool:
+    """Whether the set says that its maps are no estimates."""
+    try:
+        facts = read_json(meta) if meta.is_file() else {}
+    except RecordError as error:
+        raise SceneError(str(error)) from error
+    return isinstance(facts, dict) and facts.get("maps") == "rendered"
 
 
 def _colour(pixels: FloatArray) -> FloatArray:

@@ -87,7 +87,7 @@ class LightError(InvalidInputError):
 
 
 class ShadowWarning(UserWarning):
-    """Next to nothing of a shadow is seen; the message says why."""
+    """Next to nothing of a shadow is seen, or none serves as the negative; it says why."""
 
 
 class DtypeError(SpotLightError, TypeError):

@@ -157,11 +157,12 @@ def _manifest(folder: Path) -> tuple[Run, Iterable[bytes]]:
 
 
 def _lights(folder: Path) -> tuple[Run, Iterable[bytes]]:
-    write_image(folder / "lamp.png", make_scene(*seeds.SIZE).object_mask)
+    mask = make_scene(*seeds.SIZE).object_mask
+    write_image(folder / "lamp.png", mask)
 
     def run(data: bytes) -> object:
         (folder / "lights.json").write_bytes(data)
-        return read_lights(folder / "lights.json")
+        return read_lights(folder / "lights.json", mask)
 
     return run, list(seeds.lights())
 

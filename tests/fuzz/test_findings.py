@@ -172,14 +172,14 @@ def test_shadow_outside_the_folder_of_the_lights_is_refused(tmp_path, key, absol
     outside = str(tmp_path / "out.png") if absolute else "../out.png"
     (folder / "a.json").write_text(json.dumps([{"shadow": "in.png", key: outside}]))
     with pytest.raises(UnsafePathError, match=r"lights\[0\]: .*out\.png' lies outside"):
-        read_lights(folder / "a.json")
+        read_lights(folder / "a.json", mask)
 
 
 @pytest.mark.parametrize("name", ["a\0b.png", LONG + ".png"])
 def test_shadow_with_a_name_no_file_can_have(tmp_path, name):
     (tmp_path / "a.json").write_text(json.dumps([{"shadow": name}]))
     with pytest.raises((InvalidInputError, ImageFileError)):
-        read_lights(tmp_path / "a.json")
+        read_lights(tmp_path / "a.json", np.zeros((8, 8), np.float32))
 
 
 @pytest.mark.parametrize("values", [(np.nan, 0.0), (np.inf, -np.inf)])

@@ -8,7 +8,7 @@ import pytest
 from support.scenes import make_scene, make_shadow
 from typer.testing import CliRunner
 
-from spotlight_runtime import Relighter, RelightOptions
+from spotlight_runtime import GuidingShadow, Relighter, RelightOptions
 from spotlight_runtime.cli import app
 from spotlight_runtime.errors import BudgetError, InvalidInputError
 from spotlight_runtime.planning.costs import (
@@ -221,6 +221,34 @@ def test_cache_is_one_a_model_and_machine(monkeypatch, tmp_path):
     paths = {cache_path(model, threads) for model in ("a", "b") for threads in (None, 1)}
     assert len(paths) == 4
     assert all(tmp_path in path.parents for path in paths)
+
+
+def test_costs_are_those_of_the_provider_that_runs(backbone, monkeypatch, tmp_path):
+    """What a CPU takes must not choose a GPU's plan."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("onnxruntime.get_available_providers", lambda: ["First", "Second"])
+    write_costs(Relighter.load(backbone, providers=["First"])._costs_file, SLOW)
+    assert Relighter.load(backbone, providers=["First"]).costs == SLOW
+    assert Relighter.load(backbone, providers=["Second"]).costs is None
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_each_picture_of_several_has_its_part_of_the_plan(slow, scene, shadow, negative, batched):
+    lights = [
+        GuidingShadow(shadow, negative),
+        GuidingShadow(negative, shadow),
+        GuidingShadow(shadow, shadow),  # nothing to contrast
+    ]
+    task = slow.prepare(scene, lights, denoise=False, batch_branches=batched)
+    assert sum(part.seconds for part in task.parts) == pytest.approx(task.plan.seconds)
+    for number, part in enumerate(task.parts):
+        effects = {effect.name: effect for effect in part.effects}
+        assert sum(effect.evaluations for effect in part.effects) == part.evaluations
+        assert effects["pass without shadow"].on == (number == 0)
+        assert effects["guidance"].on == (number < 2)
+        assert not effects["relight"].reason.startswith("3 lights")
+    made = [*slow.relight_each(scene, lights, denoise=False, batch_branches=batched)]
+    assert [each.plan.effects[0] for each in made] == [part.effects[0] for part in task.parts]
 
 
 def test_ladder_file_ships():

@@ -91,6 +91,26 @@ def test_view_of_a_panorama(inputs, tmp_path, monkeypatch):
     assert pitch == pytest.approx(15.0, abs=1e-3)
 
 
+def test_maps_that_are_given_keep_every_detail_beside_guessed_ones(inputs, tmp_path, monkeypatch):
+    """Of a picture larger than what an estimator sees details of."""
+    backdrop = room(1100, 825)
+    write_image(tmp_path / "room.jpg", linear_to_srgb(backdrop.photograph.radiance))
+    rng = np.random.default_rng(5)
+    albedo = rng.random((825, 1100, 3), dtype=np.float32)
+    depth = backdrop.maps.depth + np.float32(0.5) * rng.integers(0, 2, (825, 1100))
+    depth = depth.astype(np.float32)
+    write_image(tmp_path / "albedo.exr", albedo)
+    write_image(tmp_path / "depth.exr", depth)
+    base = ["compose", "--background", tmp_path / "room.jpg", "--object", inputs / "box.glb"]
+    given = ["--albedo", tmp_path / "albedo.exr", "--depth", tmp_path / "depth.exr"]
+    command = [*base, *given, "--fov", 60, "--horizon", 0.19, "-o", tmp_path / "scene"]
+    assert run(monkeypatch, *map(str, command)) == 0
+    maps = Scene.load(tmp_path / "scene").background_maps
+    np.testing.assert_allclose(maps.albedo, albedo, atol=1e-4)
+    np.testing.assert_array_equal(maps.depth, depth)
+    assert max(read_image(tmp_path / "scene/background_normal.exr").shape) == 1024
+
+
 def test_cutout_needs_an_estimator(inputs, tmp_path, monkeypatch, capsys):
     pixels = np.zeros((40, 40, 4), np.float32)
     pixels[5:35, 5:35] = 1.0
@@ -113,6 +133,27 @@ def test_cutout_needs_an_estimator(inputs, tmp_path, monkeypatch, capsys):
         (["--mask", "m.png"], "--mask: a 3-D model needs none"),
         (["--panorama", "0"], "--panorama: expected two numbers"),
         (["--panorama", "0,0", "--crop", "big"], "--crop: expected width x height"),
+        (["--panorama", "0,0", "--crop", "²x²"], "--crop: expected width x height"),
+        (["--panorama", "0,0", "--crop", ""], "--crop: expected width x height"),
+        (["--panorama", "0,0", "--crop", "0x480"], "sides of at least 32 pixels"),
+        (["--panorama", "0,0", "--crop", "-64x-64"], "sides of at least 32 pixels"),
+        (["--panorama", "0,0", "--crop", f"{'9' * 5000}x64"], "--crop: expected width x height"),
+        (["--panorama", "0,0", "--crop", "9999x9999"], "at most 64 megapixels"),
+        (["--crop", "100x100"], "--crop: expected --panorama beside it"),
+        (["--panorama", "nan,-10"], "--panorama YAW: expected degrees from -3600 to 3600, got nan"),
+        (["--panorama", "0,-90"], "--panorama PITCH: expected degrees from -89 to 89, got -90"),
+        (["--panorama", "0,inf"], "--panorama PITCH"),
+        (["--fov", "0"], "--fov: expected degrees from 1 to 179, got 0"),
+        (["--fov", "180"], "--fov: expected degrees"),
+        (["--exposure", "5000"], "--exposure: expected stops from -30 to 30, got 5000"),
+        (["--exposure", "200"], "--exposure: expected stops"),
+        (["--exposure", "nan"], "--exposure: expected stops"),
+        (["--size", "1e300"], "--size: expected metres"),
+        (["--height", "inf"], "--height: expected metres"),
+        (["--camera-height", "1e300"], "--camera-height: expected a camera height in metres"),
+        (["--depth-scale", "0"], "--depth-scale: expected metres"),
+        (["--depth-scale", "-1"], "--depth-scale: expected metres"),
+        (["--horizon", "nan"], "--horizon: expected a fraction of the height from -100 to 100"),
         (["--panorama", "0,0"], "twice as wide as high"),
         (["--camera-height", "-1"], "camera height"),
         (["--preview", "look.gif"], "expected one of"),

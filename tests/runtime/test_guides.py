@@ -1,6 +1,7 @@
 """Lights and arrays as guiding shadows, of photographs of any size."""
 
 import warnings
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +11,14 @@ from support.scenes import make_scene, make_shadow
 from support.shadow_scenes import ball_scene
 
 from spotlight_runtime import GuidingShadow, Light
-from spotlight_runtime.errors import DtypeError, InvalidInputError, ShadowWarning, ShapeError
+from spotlight_runtime.errors import (
+    DtypeError,
+    InvalidInputError,
+    LightError,
+    ShadowWarning,
+    ShapeError,
+)
+from spotlight_runtime.geometry.mesh import ObjectMesh
 from spotlight_runtime.relighting.casting import MOST_PIXELS, megapixel
 from spotlight_runtime.relighting.guides import guiding_shadows
 
@@ -114,6 +122,36 @@ def test_weight_and_colour_come_along(ball):
     light = Light(azimuth=0.0, elevation=40.0, weight=2.0, colour=(1.0, 0.5, 0.2))
     (guide,) = guiding_shadows(ball, light)
     assert (guide.weight, guide.colour) == (2.0, (1.0, 0.5, 0.2))
+
+
+@pytest.fixture(scope="module")
+def lopsided(ball):
+    """A ball and a marble beside it: the middle of both is between them."""
+    offset = np.array([1.2, 0.0, 0.05 - shadow_scenes.RADIUS])
+    centre = shadow_scenes.ball_centre(ball.ground) + offset @ ball.ground.world_axes()
+    large, small = ball.object_mesh, shadow_scenes.sphere_mesh(centre, 0.05, rings=12)
+    both = ObjectMesh(
+        np.concatenate([large.vertices, small.vertices]),
+        np.concatenate([large.faces, small.faces + len(large.vertices)]),
+    )
+    return replace(ball, object_mesh=both)
+
+
+NEAR = Light(position=(0.425, 0.0, 0.5), radius=0.0)
+"""Right of the ball; half a turn round the middle of ball and marble is in the ball."""
+
+
+def test_where_the_light_opposite_has_no_place_there_is_no_negative(lopsided):
+    with pytest.warns(ShadowWarning, match="there is no place for the light opposite"):
+        (guide,) = guiding_shadows(lopsided, NEAR)
+    assert guide.negative is None
+    assert guide.positive.any()
+    with pytest.raises(LightError, match=r'^negative: the opposite light: .* \(negative "none"\)'):
+        guiding_shadows(lopsided, NEAR, "opposite")
+    (asked,) = guiding_shadows(lopsided, NEAR, "none")
+    np.testing.assert_array_equal(asked.positive, guide.positive)
+    with pytest.raises(LightError, match=r"^light: expected a place outside the object"):
+        guiding_shadows(lopsided, NEAR.opposite())
 
 
 def test_an_unseen_shadow_is_said_of_the_light_that_was_asked_for_only(ball):

@@ -73,6 +73,35 @@ def test_truncated_progressive_jpeg(tmp_path, picture):
             read_image(path)
 
 
+FILM = b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 8 + b"\xff\xda\0\x08 no end of an image here"
+
+
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]], ids=["plain", "waves"])
+def test_whole_jpeg_with_a_film_appended(flags, tmp_path, picture):
+    """Phones append an MP4 to a picture in motion."""
+    data = bytes(cv2.imencode(".jpg", (picture * 255).astype(np.uint8), flags)[1])
+    (tmp_path / "still.jpg").write_bytes(data)
+    (tmp_path / "motion.jpg").write_bytes(data + FILM)
+    np.testing.assert_array_equal(
+        read_image(tmp_path / "motion.jpg"), read_image(tmp_path / "still.jpg")
+    )
+
+
+def test_truncated_jpeg_with_a_preview_that_is_whole(tmp_path, picture):
+    """The end of an image within a segment is not the picture's."""
+    pixels = (picture * 255).astype(np.uint8)
+    preview = bytes(cv2.imencode(".jpg", pixels)[1])
+    segment = b"\xff\xe2" + struct.pack(">H", len(preview) + 2) + preview
+    data = preview[:2] + segment + preview[2:]
+    path = tmp_path / "preview.jpg"
+    path.write_bytes(data)
+    assert read_image(path).shape == picture.shape
+    for kept in (len(segment) + 2, len(segment) + 300, len(data) - 300, len(data) - 2):
+        path.write_bytes(data[:kept])
+        with pytest.raises(ImageFileError):
+            read_image(path)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".webp", ".hdr"])
 def test_truncated_jpeg_is_no_picture_under_another_name(suffix, tmp_path, picture):
     write_image(tmp_path / "whole.jpg", picture)

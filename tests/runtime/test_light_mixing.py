@@ -63,7 +63,7 @@ def test_a_channel_that_no_light_has_is_named():
         Mix.of([guide(weight=0.0), guide(weight=0.0)])
 
 
-@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf, "1", None, True, 10**400])
 def test_bad_weights_and_colours_are_named(bad):
     with pytest.raises(InvalidInputError, match="weight: expected a finite number"):
         guide(weight=bad)
@@ -71,6 +71,32 @@ def test_bad_weights_and_colours_are_named(bad):
         guide(colour=(1.0, bad, 1.0))
     with pytest.raises(InvalidInputError, match="colour: expected red, green, blue"):
         guide(colour=(1.0, 1.0))
+    with pytest.raises(InvalidInputError, match="colour: expected red, green, blue"):
+        guide(colour=bad)
+
+
+@pytest.mark.parametrize("colour", [[1.0, 0.5, 0], np.array([1.0, 0.5, 0.0], np.float32)])
+def test_colours_may_come_as_lists_and_arrays(colour):
+    made = guide(weight=np.float32(2.0), colour=colour)
+    assert (made.weight, made.colour) == (2.0, (1.0, 0.5, 0.0))
+    assert {type(number) for number in (made.weight, *made.colour)} == {float}
+    Mix.of([made, guide(weight=2.0)])
+
+
+@pytest.mark.parametrize("darkness", [{"weight": 0.0}, {"colour": (0.0, 0.0, 0.0)}])
+def test_a_light_that_gives_none_is_left_out(relighter, pictures, darkness):
+    scene, (left, right), alone, _ = pictures
+    options = {"denoise": False, "steps": 2}
+    dark = GuidingShadow(right.positive, **darkness)
+    made = relighter.relight(scene, [left, dark], **options)
+    assert made.image.tobytes() == alone[0].image.tobytes()
+    assert (made.evaluations, made.report()["lights"]) == (alone[0].evaluations, 1)
+    planned = relighter.prepare(scene, [left, dark], mixed=True, **options).plan
+    assert planned.evaluations == made.evaluations
+    each = relighter.relight_each(scene, [left, dark], **options)
+    assert [e.image.tobytes() for e in each] == [e.image.tobytes() for e in alone]
+    with pytest.raises(InvalidInputError, match="got none in red, green, blue"):
+        relighter.relight(scene, [dark, dark], **options)
 
 
 @pytest.fixture(scope="module")

@@ -41,11 +41,28 @@ def place(light, ground=GROUND):
         ({"azimuth": 1, "elevation": 2, "weight": -0.1}, "weight"),
         ({"azimuth": 1, "elevation": 2, "colour": (1, 1)}, "colour: expected red, green, blue"),
         ({"azimuth": 1, "elevation": 2, "colour": (1, -1, 1)}, "colour"),
+        ({"azimuth": "135", "elevation": 45}, "azimuth: expected a finite number .*, got '135'"),
+        ({"azimuth": 135, "elevation": True}, "elevation: expected a finite number .*, got True"),
+        ({"azimuth": 10**400, "elevation": 45}, "azimuth: expected a finite number"),
+        ({"azimuth": 1, "elevation": 2, "radius": None}, "radius: expected a finite number"),
+        ({"azimuth": 1, "elevation": 2, "colour": 1.0}, "colour: expected red, green, blue"),
+        ({"azimuth": 1, "elevation": 2, "colour": "red"}, "colour: expected a finite number"),
+        ({"position": 3.0}, "position: expected x, y, z"),
+        ({"position": (1, 2, "3")}, "position: expected a finite number"),
     ],
 )
 def test_impossible_lights_are_named(arguments, named):
     with pytest.raises(InvalidInputError, match=named):
         Light(**arguments)
+
+
+def test_numbers_of_a_light_are_pythons_own():
+    light = Light(np.int64(30), np.float32(45), colour=[1, 0.5, 0], weight=np.float64(2))
+    assert light == Light(30.0, 45.0, colour=(1.0, 0.5, 0.0), weight=2.0)
+    numbers = (light.azimuth, light.elevation, light.weight, *light.colour)
+    assert {type(number) for number in numbers} == {float}
+    assert Light(position=np.arange(3)).position == (0.0, 1.0, 2.0)
+    assert light.opposite().azimuth == 210.0
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +12,19 @@ import pytest
 from support.onnx_backbone import tiny_spec, write_backbone
 
 from spotlight_runtime import Relighter
-from spotlight_runtime.errors import ModelError, ModelIntegrityError, UnknownModelError
-from spotlight_runtime.networks.models import find_models, open_networks, resolve_model
+from spotlight_runtime.errors import (
+    InvalidInputError,
+    ModelError,
+    ModelIntegrityError,
+    ProviderError,
+    UnknownModelError,
+)
+from spotlight_runtime.networks.models import (
+    LazyNetworks,
+    find_models,
+    open_networks,
+    resolve_model,
+)
 from spotlight_spec import MANIFEST_NAME, Manifest, ParityRow, Source, write_json
 
 
@@ -125,6 +138,36 @@ def test_networks_open_on_demand_and_close(backbone):
     assert "unet" not in networks
     with pytest.raises(KeyError):
         networks["unet"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"providers": ["NoProvider"]}, ProviderError, "provider NoProvider is not installed"),
+        ({"providers": []}, InvalidInputError, "providers: expected a list"),
+        ({"providers": "CPUExecutionProvider"}, InvalidInputError, "providers: expected a list"),
+        ({"threads": 0}, InvalidInputError, "threads: expected 1 or more, got 0"),
+        ({"threads": -1, "engine": "openvino"}, InvalidInputError, "threads: expected 1 or more"),
+    ],
+)
+def test_what_no_session_could_be_opened_with_is_said_at_once(backbone, changes, error, message):
+    with pytest.raises(error, match=message):
+        Relighter.load(backbone, **changes)
+
+
+def test_threads_that_ask_at_once_share_one_session(backbone):
+    opened = []
+
+    def slow(folder, contract):
+        opened.append(contract.name)
+        time.sleep(0.05)
+        return lambda **inputs: inputs
+
+    networks = LazyNetworks(resolve_model(backbone), slow)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: networks["denoiser"], range(4)))
+    assert opened == ["denoiser"]
+    assert len(set(found)) == 1
 
 
 def test_session_of_a_deleted_file_says_so(copied):

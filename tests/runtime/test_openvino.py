@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from support.scenes import make_scene, make_shadow
 
 from runtime.small_graphs import contract, tensor, write_product
 from spotlight_runtime import Relighter
@@ -14,7 +15,7 @@ from spotlight_runtime.errors import (
     ModelError,
 )
 from spotlight_runtime.networks.models import resolve_model
-from spotlight_runtime.networks.openvino import open_graph
+from spotlight_runtime.networks.openvino import computes_indices, open_graph
 
 ONES = np.ones((1, 4, 2, 3), np.float32)
 
@@ -84,3 +85,34 @@ class TestWithIt:
         assert difference.max() <= 4 * allowed
         assert difference.mean() <= allowed
         assert made.report()["model"]["engine"] == engine
+
+    def test_places_to_read_at_are_not_rounded(self):
+        """Bfloat16 counts to 256; the mini's condition encoder looks up any of its latents."""
+        import openvino as ov
+
+        folder = resolve_model("mini")
+        names = [contract.name for contract in folder.manifest.graphs]
+        read = {name: ov.Core().read_model(folder.path / f"{name}.onnx") for name in names}
+        assert [n for n in names if computes_indices(read[n])] == ["condition_encoder"]
+        maps = np.random.default_rng(0).random((1, 13, 256, 256), np.float32)
+        exact, rounded = (
+            open_graph(
+                folder.path,
+                folder.manifest.graph("condition_encoder"),
+                precision=precision,
+                threads=1,
+            )(conditioning=maps)["condition"]
+            for precision in ("f32", "bf16")
+        )
+        np.testing.assert_array_equal(rounded, exact)
+
+    def test_the_embedded_model_runs_in_bfloat16(self, options):
+        scene = make_scene(256, 256)
+        shadow = make_shadow(scene)
+        wanted, made = (
+            Relighter.load("mini", engine=engine, threads=1, remember=0).relight(
+                scene, shadow, options=options, steps=2
+            )
+            for engine in ("onnxruntime", "openvino-bf16")
+        )
+        assert np.abs(made.image - wanted.image).mean() <= 0.05

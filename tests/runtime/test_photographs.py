@@ -73,6 +73,13 @@ def test_field_of_view_from_exif(tmp_path, rng, size, focal):
     assert read_photograph(path, 33.0).field_of_view == 33.0
 
 
+def test_no_field_of_view_is_not_the_usual_one(tmp_path, rng):
+    write_image(tmp_path / "p.jpg", rng.random((40, 50, 3), dtype=np.float32))
+    photograph = read_photograph(tmp_path / "p.jpg", 0.0)
+    with pytest.raises(InvalidInputError, match="field_of_view: expected degrees"):
+        _ = photograph.camera
+
+
 def test_without_exif_fifty_degrees(tmp_path, rng):
     write_image(tmp_path / "p.jpg", rng.random((40, 50, 3), dtype=np.float32))
     assert read_photograph(tmp_path / "p.jpg").field_of_view == 50.0

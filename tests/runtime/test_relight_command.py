@@ -279,21 +279,27 @@ def test_broken_network_is_one_line_too(place, tmp_path):
     assert "Warning" not in done.stderr
 
 
-@pytest.mark.parametrize("target", ["nowhere/report.json", "ball"])
-def test_report_that_cannot_be_written_is_one_line_and_the_picture_is_kept(place, tmp_path, target):
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [("nowhere/report.json", "there is no folder nowhere"), ("ball", "it is a folder")],
+)
+def test_report_that_cannot_be_written_is_one_line_before_the_relight(
+    place, tmp_path, target, said
+):
     out = tmp_path / "out.png"
     arguments = ["relight", "ball", "--shadow", "left.png", "-o", str(out), "--model", "tiny"]
     done = spotlight(*arguments, "--no-denoise", "--report", target, cwd=place)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("spotlight: ")
-    assert target in done.stderr
-    assert out.exists()
+    assert f"{target}: cannot be written: {said}" in done.stderr
+    assert not out.exists()
     assert not list(place.glob("*.partial*"))
 
 
-@pytest.mark.parametrize("output", ["out.gif", "nowhere/out.png"])
+@pytest.mark.parametrize("output", ["out.gif", "nowhere/out.png", "folder.png"])
 def test_output_is_checked_before_anything_is_loaded(here, output):
+    (here / "folder.png").mkdir(exist_ok=True)
     done = relight(output=output, scene="no scene", model="no model")
     with pytest.raises(SpotLightError, match=output):
         raise done.exception

@@ -79,6 +79,34 @@ def test_a_ready_light_by_its_name(here, tmp_path, relighter):
     np.testing.assert_array_equal(read_image(out), srgb_to_linear(wanted.image))
 
 
+def test_a_drawn_negative_is_cleaned_as_a_drawn_shadow(here, tmp_path):
+    write_image(tmp_path / "inked.png", 1 - read_grey("right.png"))
+    extra = ["--negative", tmp_path / "inked.png", "--invert", "--softness", 1]
+    done("--light", "0000", *extra, "--preview", output=tmp_path / "out.png")
+
+
+def test_an_empty_negative_is_none(here, tmp_path):
+    """As that of a light whose opposite casts its shadow where nobody sees it."""
+    write_image(tmp_path / "black.png", np.zeros((48, 64), np.float32))
+    for name, negative in (("a.png", tmp_path / "black.png"), ("b.png", "none")):
+        done("--shadow", "left.png", "--negative", negative, output=tmp_path / name)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), read_image(tmp_path / "b.png"))
+
+
+def test_a_drawing_of_any_size_among_lights(here, tmp_path):
+    drawing = np.zeros((30, 90), np.float32)
+    drawing[20:28, 5:40] = 0.8
+    write_image(tmp_path / "drawn.png", drawing)
+    (tmp_path / "lights.json").write_text('[{"shadow": "drawn.png"}]')
+    shadows = []
+    for option, name in (("--lights", "lights.json"), ("--shadow", "drawn.png")):
+        shadow = tmp_path / f"{name}.exr"
+        extra = [option, tmp_path / name, "--preview", "--shadow-out", shadow]
+        done(*extra, output=tmp_path / "out.png")
+        shadows.append(read_image(shadow))
+    np.testing.assert_array_equal(*shadows)
+
+
 def test_several_lights_from_json(here, tmp_path, relighter):
     out, report, shadow = (tmp_path / name for name in ("out.exr", "report.json", "shadow.exr"))
     done("--lights", "lights.json", "--report", report, "--shadow-out", shadow, output=out)
@@ -165,6 +193,14 @@ def test_a_scribble_of_any_size(here, tmp_path):
         (["--azimuth", "3", "--elevation", "95"], "elevation: expected a finite number"),
         (["--azimuth", "3", "--radius", "-1"], "radius: expected a finite number"),
         (["--azimuth", "3", "--distance", "0"], "distance: expected a finite number above 0"),
+        (["--light", "0000", "--elevation", "70"], "--elevation: expected --azimuth or --sweep"),
+        (["--shadow", "left.png", "--elevation", "20"], "--elevation: .*got --shadow; leave one"),
+        (["--shadow", "left.png", "--directional"], "--directional: expected --azimuth or"),
+        (["--lights", "lights.json", "--radius", "0"], "--radius: .*got --lights"),
+        (["--lights", "lights.json", "--distance", "5"], "--distance: .*got --lights"),
+        (["--azimuth", "10", "--softness", "5"], "--softness: expected --shadow or a drawn --neg"),
+        (["--azimuth", "10", "--negative", "none", "--invert"], "--invert: expected --shadow"),
+        (["--azimuth", "1", "--directional", "--distance", "3"], "--distance: expected none"),
     ],
 )
 def test_what_does_not_go_together_is_named(here, extra, named):

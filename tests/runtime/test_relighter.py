@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from dataclasses import fields, replace
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 from support.onnx_backbone import tiny_spec, write_backbone
 from support.scenes import make_scene, make_shadow
 
-from spotlight_runtime import Intrinsics, Relighter, RelightOptions, Scene, Window
+from spotlight_runtime import GuidingShadow, Intrinsics, Relighter, RelightOptions, Scene, Window
 from spotlight_runtime.diffusion.conditioning import masked_region
 from spotlight_runtime.errors import (
     DtypeError,
@@ -436,8 +437,6 @@ def test_clean_backbone_is_not_denoised(options, scene, shadow, tmp_path):
 
 def test_caller_may_take_its_time_between_steps(relighter, options, scene, shadow):
     """The time the caller spends is not counted as the network's."""
-    import time
-
     run = relighter.run(scene, shadow, None, replace(options, steps=2))
     while True:
         try:
@@ -502,6 +501,28 @@ def test_results_come_as_they_are_done(relighter, options, shadow, scene):
     assert kinds == ["Progress", "Progress", "RelightResult", "Progress", "RelightResult"]
     assert made[2].image.tobytes() == made[4].image.tobytes()
     assert made[2].guides[0].positive is shadow
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_each_picture_has_its_own_time(relighter, options, shadow, negative, scene, batch):
+    """What lights share counts for the first, and what two go through together for half each."""
+    lights = [GuidingShadow(shadow, negative), GuidingShadow(negative, shadow)]
+    chosen = replace(options, steps=2, batch_branches=batch)
+    started = time.perf_counter()
+    first, second = relighter.relight_each(scene, lights, options=chosen)
+    took = time.perf_counter() - started
+    assert {"prepare", "no shadow"} <= set(first.timings)
+    assert not {"prepare", "no shadow"} & set(second.timings)
+    assert set(second.timings) == {"encode", "condition", "relight", "decode", "composite"}
+    assert sum(first.timings.values()) + sum(second.timings.values()) <= took
+    assert (first.timings["relight"] == second.timings["relight"]) == batch
+
+
+def test_a_backbone_for_the_picture_around_an_object_is_refused(tmp_path):
+    """Its shading is the relit object's, which the first relight is yet to make."""
+    folder = write_backbone(tmp_path / "inverted", tiny_spec("zerocomp-inverted"))
+    with pytest.raises(ModelError, match=r"^zerocomp-inverted: .*To relight an object use another"):
+        Relighter.load(folder)
 
 
 def test_scene_and_options_are_values():

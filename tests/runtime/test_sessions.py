@@ -19,7 +19,12 @@ from spotlight_runtime.errors import (
     ProviderError,
     SpotLightError,
 )
-from spotlight_runtime.networks.sessions import OnnxGraph, available_cpus, open_graph
+from spotlight_runtime.networks.sessions import (
+    OnnxGraph,
+    available_cpus,
+    open_graph,
+    runtime_version,
+)
 
 ONES = np.ones((1, 4, 2, 3), np.float32)
 
@@ -206,6 +211,18 @@ def test_provider_that_is_not_installed_is_named_with_those_that_are(tmp_path):
     write_product(tmp_path)
     with pytest.raises(ProviderError, match=r"NoSuchProvider is not installed.*CPUExecution"):
         open_graph(tmp_path, contract(), providers=["NoSuchProvider", "CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("providers", [[], (), "CPUExecutionProvider"])
+def test_providers_are_a_list_of_names(tmp_path, providers):
+    with pytest.raises(InvalidInputError, match=r"^providers: expected a list .*, got ") as caught:
+        open_graph(write_product(tmp_path), contract(), providers=providers)
+    assert repr(providers) in str(caught.value)
+
+
+def test_the_version_is_the_modules_whatever_its_distribution_is_called(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", SimpleNamespace(__version__="1.2.3"))
+    assert runtime_version() == "1.2.3"
 
 
 def test_provider_that_steps_back_is_an_error(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ import typer
 from spotlight_runtime.networks import models
 from spotlight_runtime.planning.ladder import PlanName
 from spotlight_runtime.planning.options import WindowMode
+from spotlight_runtime.relighting.lights_file import DEFAULT_ELEVATION
 from spotlight_runtime.relighting.tasks import Wishes
 
 __all__ = [
@@ -94,18 +95,25 @@ Sweep = Annotated[
 ]
 Elevation = Annotated[
     float | None,
-    typer.Option(help="Degrees above the floor.", show_default="45", rich_help_panel=FURTHER),
+    typer.Option(
+        help="Degrees above the floor.",
+        show_default=f"{DEFAULT_ELEVATION:g}",
+        rich_help_panel=FURTHER,
+    ),
 ]
 Radius = Annotated[
-    float,
+    float | None,
     typer.Option(
         help="Size of the light, in sizes of the object: the larger, the softer the shadow.",
+        show_default="1",
         rich_help_panel=FURTHER,
     ),
 ]
 Distance = Annotated[
-    float,
-    typer.Option(help="Of the light, in sizes of the object.", rich_help_panel=FURTHER),
+    float | None,
+    typer.Option(
+        help="Of the light, in sizes of the object.", show_default="10", rich_help_panel=FURTHER
+    ),
 ]
 Directional = Annotated[
     bool,

@@ -24,6 +24,7 @@ from spotlight_runtime.composing.compose import draft
 from spotlight_runtime.composing.cutout import Cutout, estimate_cutout, read_cutout
 from spotlight_runtime.composing.estimator import DETAIL_SIDE, estimate_intrinsics
 from spotlight_runtime.composing.photograph import (
+    SMALLEST_SIDE,
     Photograph,
     crop_panorama,
     expose,
@@ -35,6 +36,7 @@ from spotlight_runtime.composing.product import Product
 from spotlight_runtime.composing.product_files import PRODUCT_SUFFIXES, load_product
 from spotlight_runtime.errors import InvalidInputError, MissingMapError
 from spotlight_runtime.geometry.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from spotlight_runtime.imaging.headers import MAX_PIXELS
 from spotlight_runtime.imaging.images import check_target
 from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.networks.models import open_networks, resolve_model
@@ -47,6 +49,20 @@ __all__ = ["compose"]
 
 ESTIMATOR_GRAPH: Final = "intrinsics"
 CROP: Final = "640x480"
+_View = tuple[float, float, Camera]
+"""Yaw and pitch of a look into a panorama, and the camera that takes it."""
+_RANGES: Final = {
+    "--size": ("metres", 1e-6, 1e6),
+    "--height": ("metres", 1e-6, 1e6),
+    "--fov": ("degrees", 1.0, 179.0),
+    "--exposure": ("stops", -30.0, 30.0),
+    "--horizon": ("a fraction of the height", -100.0, 100.0),
+    "--camera-height": ("a camera height in metres", 1e-6, 1e6),
+    "--depth-scale": ("metres", 1e-6, 1e6),
+    "--panorama YAW": ("degrees", -3600.0, 3600.0),
+    "--panorama PITCH": ("degrees", -89.0, 89.0),  # straight up there is no horizon
+}
+"""In what unit a number is given, and between which bounds it makes sense."""
 
 
 def compose(
@@ -104,8 +120,11 @@ def compose(
         ),
     ] = None,
     crop: Annotated[
-        str, typer.Option(metavar="WxH", help="Size in pixels of the view of a panorama.")
-    ] = CROP,
+        str | None,
+        typer.Option(
+            metavar="WxH", help="Size in pixels of the view of a panorama.", show_default=CROP
+        ),
+    ] = None,
     exposure: Annotated[
         float | None,
         typer.Option(
@@ -149,9 +168,20 @@ def compose(
     """
     if preview is not None:
         check_target(preview)
+    for option, value in (
+        ("--size", size),
+        ("--height", height),
+        ("--fov", fov),
+        ("--exposure", exposure),
+        ("--horizon", horizon),
+        ("--camera-height", camera_height),
+        ("--depth-scale", depth_scale),
+    ):
+        _check(option, value)
+    view = _view(panorama, crop, fov)
     with ThreadPoolExecutor(1) as aside:
         pending = aside.submit(_object, item, variant, mask)
-        photograph, level = _photograph(background, fov, exposure, panorama, crop)
+        photograph, level = _photograph(background, fov, exposure, view)
         point = _pair("--at", at)
         if max(point) > 1.0:
             point = (point[0] / photograph.size[1], point[1] / photograph.size[0])
@@ -168,7 +198,7 @@ def compose(
             for name, path in paths.items()
             if path is not None
         }
-        guessed = any(name not in given for name in NEEDED)
+        guessed = [name for name in NEEDED if name not in given]
         backdrop = build_backdrop(
             photograph,
             # Not named here: a large photograph's maps before its floor is known go with it.
@@ -187,8 +217,13 @@ def compose(
     scene = compose_scene(backdrop, thing, placement, occluded=hides)
     with ThreadPoolExecutor(1) as aside:
         look = aside.submit(draft, scene)
-        detail = DETAIL_SIDE if guessed else None
-        save_bundle(scene, output, photograph=photograph.file, working_side=detail)
+        save_bundle(
+            scene,
+            output,
+            photograph=photograph.file,
+            working_side=DETAIL_SIDE,
+            estimated=guessed,
+        )
     write_picture(output / "preview.png" if preview is None else preview, look.result())
     print(f"{output}: {_account(backdrop, scene)}", file=sys.stderr)
 
@@ -205,21 +240,47 @@ def _account(backdrop: Backdrop, scene: Scene) -> str:
     )
 
 
+def _check(option: str, value: float | None) -> None:
+    what, low, high = _RANGES[option]
+    if value is not None and not low <= value <= high:  # NaN is not, either
+        raise InvalidInputError(
+            f"{option}: expected {what} from {low:g} to {high:g}, got {value:g}"
+        )
+
+
+def _view(panorama: str | None, crop: str | None, fov: float | None) -> _View | None:
+    """What is seen of a panorama."""
+    if panorama is None:
+        if crop is not None:
+            raise InvalidInputError("--crop: expected --panorama beside it, say --panorama 0,0")
+        return None
+    yaw, pitch = _pair("--panorama", panorama)
+    _check("--panorama YAW", yaw)
+    _check("--panorama PITCH", pitch)
+    try:
+        width, height = (int(side) for side in (CROP if crop is None else crop).split("x"))
+    except ValueError:
+        width = height = 0
+    if min(width, height) < SMALLEST_SIDE or width * height > MAX_PIXELS:
+        raise InvalidInputError(
+            f"--crop: expected width x height such as {CROP}, sides of at least {SMALLEST_SIDE} "
+            f"pixels and at most {MAX_PIXELS // 1_000_000} megapixels, got {crop!r}"
+        )
+    camera = Camera(width, height, DEFAULT_FIELD_OF_VIEW if fov is None else fov)
+    return yaw, pitch, camera
+
+
 def _photograph(
-    path: Path, fov: float | None, exposure: float | None, panorama: str | None, crop: str
+    path: Path, fov: float | None, exposure: float | None, view: _View | None
 ) -> tuple[Photograph, float | None]:
     """The photograph, and the row of its horizon where a panorama gives it."""
-    if panorama is None:
+    if view is None:
         return read_photograph(path, fov, exposure), None
-    yaw, pitch = _pair("--panorama", panorama)
-    width, _, height = crop.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise InvalidInputError(f"--crop: expected width x height such as {CROP}, got {crop!r}")
-    camera = Camera(int(width), int(height), fov or DEFAULT_FIELD_OF_VIEW)
-    view = crop_panorama(read_photograph(path, exposure=exposure or 0.0), yaw, pitch, camera)
+    yaw, pitch, camera = view
+    seen = crop_panorama(read_photograph(path, exposure=exposure or 0.0), yaw, pitch, camera)
     if exposure is None:
-        view = Photograph(expose(view.radiance), view.field_of_view, view.name)
-    return view, horizon_of(camera, pitch)
+        seen = Photograph(expose(seen.radiance), seen.field_of_view, seen.name)
+    return seen, horizon_of(camera, pitch)
 
 
 def _object(path: Path, variant: str | None, mask: Path | None) -> Product | Cutout:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import InvalidInputError
 from spotlight_runtime.geometry.lights import Light
 from spotlight_runtime.relighting.guides import Guide, GuidingShadow, Negative
-from spotlight_runtime.relighting.lights_file import read_lights
+from spotlight_runtime.relighting.lights_file import DEFAULT_ELEVATION, read_lights
 from spotlight_runtime.relighting.shadow_files import read_drawing, read_ready_shadow, ready_shadows
 from spotlight_runtime.relighting.sweep import ring
 from spotlight_runtime.scenes.scene import Scene
@@ -19,7 +19,17 @@ from spotlight_runtime.scenes.scene import Scene
 __all__ = ["Asked", "Lighting", "choose_lighting"]
 
 
-ELEVATION: Final = 45.0
+_PLACED: Final = ("--azimuth", "--sweep")
+_DRAWN: Final = ("--shadow", "a drawn --negative")
+_BELONGS: Final = {
+    "--elevation": _PLACED,
+    "--radius": _PLACED,
+    "--distance": _PLACED,
+    "--directional": _PLACED,
+    "--softness": _DRAWN,
+    "--invert": _DRAWN,
+}
+"""Options that say more of a light, and the ways to give one that they belong to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +38,8 @@ class Asked:
 
     azimuth: float | None = None
     elevation: float | None = None
-    radius: float = 1.0
-    distance: float = 10.0
+    radius: float | None = None
+    distance: float | None = None
     directional: bool = False
     shadow: Path | None = None
     negative: str | None = None
@@ -72,7 +82,8 @@ def choose_lighting(path: Path, scene: Scene, asked: Asked) -> Lighting:
     Raises
     ------
     InvalidInputError
-        If none, or more than one, of the ways to give light is taken.
+        If none, or more than one, of the ways to give light is taken, or an option is given that
+        belongs to another.
     """
     given = {
         "--azimuth": asked.azimuth,
@@ -91,26 +102,47 @@ def choose_lighting(path: Path, scene: Scene, asked: Asked) -> Lighting:
             f"(--azimuth 135 --elevation 45), or draw its shadow (--shadow drawing.png){known}"
         )
     negative = _negative(asked, scene)
+    _check_further(asked, ways[0], negative)
     if asked.shadow is not None:
         return Lighting([_drawing(asked.shadow, asked, scene)], negative, [asked.shadow.name])
     if asked.light is not None:
         return _ready(path, [asked.light], negative, [asked.light])
     if asked.lights is not None:
-        guides = read_lights(asked.lights)
+        guides = read_lights(asked.lights, scene.object_mask)
         return Lighting(guides, negative, [f"light {i + 1}" for i in range(len(guides))])
-    distance = None if asked.directional else asked.distance
-    elevation = ELEVATION if asked.elevation is None else asked.elevation
+    said = {name: getattr(asked, name) for name in ("elevation", "radius", "distance")}
+    place: dict[str, Any] = {name: value for name, value in said.items() if value is not None}
+    if asked.directional:
+        place["distance"] = None
+    whole = {"elevation": DEFAULT_ELEVATION, **place}
     if asked.sweep is None:
-        light = Light(asked.azimuth, elevation, asked.radius, distance)
+        light = Light(asked.azimuth, **whole)
         return Lighting([light], negative, [_caption(light)])
-    circle = ring(asked.sweep, elevation, asked.radius, distance)
+    circle = ring(asked.sweep, **whole)
     captions = [_caption(light) for light in circle]
     # A published scene has no mesh to cast from, but may have the shadows of just such a ring.
     numbered = [f"{i:04d}" for i in range(asked.sweep)]
     drawn = set(numbered) <= set(ready_shadows(path))
-    if drawn and scene.object_mesh is None and asked.elevation is None:
+    if drawn and scene.object_mesh is None and not place:
         return _ready(path, numbered, negative, captions)
     return Lighting(circle, negative, captions)
+
+
+def _check_further(asked: Asked, way: str, negative: Negative | None) -> None:
+    """Raise where an option would do nothing."""
+    drawn = negative is not None and not isinstance(negative, str)
+    taken = {way, _DRAWN[-1]} if drawn else {way}
+    for option, ways in _BELONGS.items():
+        value = getattr(asked, option.removeprefix("--"))
+        if value is not None and value is not False and taken.isdisjoint(ways):
+            raise InvalidInputError(
+                f"{option}: expected {' or '.join(ways)} beside it, got {way}; leave one out"
+            )
+    if asked.directional and asked.distance is not None:
+        raise InvalidInputError(
+            "--distance: expected none beside --directional, whose light is infinitely far away; "
+            "leave one out"
+        )
 
 
 def _ready(
@@ -129,12 +161,12 @@ def _negative(asked: Asked, scene: Scene) -> Negative | None:
     text = asked.negative
     if text is None or text in ("none", "opposite"):
         return text  # type: ignore[return-value]
-    return _drawing(Path(text), asked, scene)
+    return _drawing(Path(text), asked, scene, blank=True)
 
 
-def _drawing(path: Path, asked: Asked, scene: Scene) -> FloatArray:
+def _drawing(path: Path, asked: Asked, scene: Scene, *, blank: bool = False) -> FloatArray:
     mask = scene.object_mask
-    return read_drawing(path, mask, softness=asked.softness, invert=asked.invert)
+    return read_drawing(path, mask, softness=asked.softness, invert=asked.invert, blank=blank)
 
 
 def _caption(light: Light) -> str:

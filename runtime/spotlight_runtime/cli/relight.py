@@ -13,7 +13,7 @@ from spotlight_runtime.cli.lighting import Asked, choose_lighting
 from spotlight_runtime.cli.pictures import relit, shadow_of, sketches, write_sheet
 from spotlight_runtime.cli.progress import notices
 from spotlight_runtime.errors import InvalidInputError
-from spotlight_runtime.imaging.images import check_target, write_image
+from spotlight_runtime.imaging.images import check_place, check_target, write_image
 from spotlight_runtime.imaging.picture_files import write_picture
 from spotlight_runtime.relighting.relighter import Relighter
 from spotlight_runtime.relighting.sweep import check_animation
@@ -38,8 +38,8 @@ def relight(
     lights: a.LightsFile = None,
     sweep: a.Sweep = None,
     elevation: a.Elevation = None,
-    radius: a.Radius = 1.0,
-    distance: a.Distance = 10.0,
+    radius: a.Radius = None,
+    distance: a.Distance = None,
     directional: a.Directional = False,
     softness: a.Softness = None,
     invert: a.Invert = False,
@@ -126,6 +126,8 @@ def relight(
     for target in (output, shadow_out):  # now, not after the minutes a relight takes
         if target is not None:
             check_target(target)
+    if report is not None:
+        check_place(report)
     if animation is not None:
         if sweep is None:
             raise InvalidInputError("--animation: expected --sweep beside it, say --sweep 8")
@@ -155,8 +157,9 @@ def relight(
             pictures = sketches(loaded, lighting, each)
         else:
             relighter = Relighter.load(model, engine=engine, threads=threads, low_memory=low_memory)
-            task = relighter.prepare(loaded, lighting.guides, lighting.negative, **wishes)
-            del loaded, lighting  # gigabytes that have served, of a large photograph
+            guides, against = lighting.guides, lighting.negative
+            task = relighter.prepare(loaded, guides, against, mixed=not each, **wishes)
+            del loaded, lighting, guides  # gigabytes that have served, of a large photograph
             pictures = relit(relighter, task, each)
         if each:
             facts, summary = write_sheet(pictures, mask, captions, output, animation)

@@ -20,6 +20,7 @@ from spotlight_runtime.imaging.images import read_image
 from spotlight_runtime.imaging.picture_files import LINEAR_SUFFIXES
 
 __all__ = [
+    "SMALLEST_SIDE",
     "Photograph",
     "crop_panorama",
     "expose",
@@ -112,9 +113,10 @@ def read_photograph(
         radiance *= np.float32(2.0**exposure)
     elif path.suffix.lower() in LINEAR_SUFFIXES:
         radiance = expose(radiance)
-    width = field_of_view or field_of_view_of(header) or DEFAULT_FIELD_OF_VIEW
+    if field_of_view is None:
+        field_of_view = field_of_view_of(header) or DEFAULT_FIELD_OF_VIEW
     faithful = encoded and exposure is None and pixels.ndim == 3 and pixels.shape[2] >= 3
-    return Photograph(radiance, width, path.stem, path if faithful else None)
+    return Photograph(radiance, field_of_view, path.stem, path if faithful else None)
 
 
 def field_of_view_of(header: ImageHeader | None) -> float | None:

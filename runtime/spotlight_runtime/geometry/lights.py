@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from numbers import Real
+from typing import Any, Final, Literal
 
 from spotlight_runtime.errors import InvalidInputError
 
-__all__ = ["Light", "Vector"]
+__all__ = ["Light", "Vector", "as_float", "three"]
 
 
 Vector = tuple[float, float, float]
@@ -69,16 +70,13 @@ class Light:
 
     def __post_init__(self) -> None:
         self._check_place()
-        _check(self.radius, "radius", 0.0, FARTHEST)
+        self._check("radius", 0.0, FARTHEST)
         if self.directional:
-            _check(self.radius, "radius of a directional light", 0.0, _MOST_ANGULAR_RADIUS)
+            _checked(self.radius, "radius of a directional light", 0.0, _MOST_ANGULAR_RADIUS)
         if self.frame not in ("world", "camera"):
             raise InvalidInputError(f"frame: expected world or camera, got {self.frame!r}")
-        _check(self.weight, "weight", 0.0, math.inf)
-        if len(self.colour) != 3:
-            raise InvalidInputError(f"colour: expected red, green, blue, got {self.colour!r}")
-        for value in self.colour:
-            _check(value, "colour", 0.0, math.inf)
+        self._check("weight", 0.0, math.inf)
+        self._check_each("colour", "red, green, blue", 0.0, math.inf)
 
     @property
     def directional(self) -> bool:
@@ -102,23 +100,53 @@ class Light:
                     "light: expected azimuth and elevation in degrees, or a position, got "
                     f"azimuth {self.azimuth} and elevation {self.elevation}"
                 )
-            _check(self.azimuth, "azimuth", -math.inf, math.inf)
-            _check(self.elevation, "elevation", -90.0, 90.0)
+            self._check("azimuth", -math.inf, math.inf)
+            self._check("elevation", -90.0, 90.0)
             if self.distance is not None:
-                _check(self.distance, "distance", 0.0, FARTHEST, open_below=True)
+                self._check("distance", 0.0, FARTHEST, open_below=True)
             return
         if self.azimuth is not None or self.elevation is not None:
             raise InvalidInputError(
                 "light: expected azimuth and elevation or a position, got both; leave one out"
             )
-        if len(self.position) != 3:
-            raise InvalidInputError(f"position: expected x, y, z, got {self.position!r}")
-        for value in self.position:
-            _check(value, "position", -FARTHEST, FARTHEST)
+        self._check_each("position", "x, y, z", -FARTHEST, FARTHEST)
+
+    def _check(self, name: str, low: float, high: float, open_below: bool = False) -> None:
+        """Check a number, and keep it as Python's own."""
+        value = _checked(getattr(self, name), name, low, high, open_below)
+        object.__setattr__(self, name, value)
+
+    def _check_each(self, name: str, parts: str, low: float, high: float) -> None:
+        """Likewise three of them."""
+        values = three(getattr(self, name), name, parts)
+        object.__setattr__(self, name, tuple(_checked(v, name, low, high) for v in values))
 
 
-def _check(value: float, name: str, low: float, high: float, open_below: bool = False) -> None:
-    inside = math.isfinite(value) and low <= value <= high and not (open_below and value == low)
-    if not inside:
+def as_float(value: object) -> float:
+    """A real number of whatever type as Python's own; NaN, which no range has, for what is none."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:  # of an integer
+        return math.inf
+
+
+def three(values: Any, name: str, parts: str) -> tuple[Any, ...]:
+    """The parts of a colour or a position, each still to be checked."""
+    try:
+        found = tuple(values)
+    except TypeError:
+        found = ()
+    if len(found) != 3:
+        raise InvalidInputError(f"{name}: expected {parts}, got {values!r}")
+    return found
+
+
+def _checked(value: Any, name: str, low: float, high: float, open_below: bool = False) -> float:
+    number = as_float(value)
+    inside = math.isfinite(number) and low <= number <= high
+    if not inside or (open_below and number == low):
         bounds = f"above {low:g} and up to {high:g}" if open_below else f"from {low:g} to {high:g}"
-        raise InvalidInputError(f"{name}: expected a finite number {bounds}, got {value}")
+        raise InvalidInputError(f"{name}: expected a finite number {bounds}, got {value!r}")
+    return number

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spotlight_runtime.errors import ImageFileError
-from spotlight_runtime.imaging.headers import MAX_FILE_BYTES, check_header
+from spotlight_runtime.imaging.headers import MAX_FILE_BYTES, check_header, jpeg_ends
 
 __all__ = ["decode_pixels", "read_bytes", "swap_red_blue"]
 
@@ -74,7 +74,7 @@ def decode_pixels(data: bytes, path: str | Path) -> npt.NDArray[Any]:
     end = _png_end(data, path) if data.startswith(_PNG_SIGNATURE) else len(data)
     if data.startswith(_JPEG_SIGNATURE):
         # Unlike the other decoders, libjpeg fills what is missing with grey and only warns.
-        if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+        if not jpeg_ends(data):
             raise ImageFileError(f"{path}: the JPEG is truncated (no end-of-image marker)")
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH  # these flags apply the EXIF orientation
     else:

@@ -14,7 +14,14 @@ from typing import Final
 
 from spotlight_runtime.errors import ImageFileError
 
-__all__ = ["MAX_FILE_BYTES", "MAX_PIXELS", "ImageHeader", "check_header", "read_header"]
+__all__ = [
+    "MAX_FILE_BYTES",
+    "MAX_PIXELS",
+    "ImageHeader",
+    "check_header",
+    "jpeg_ends",
+    "read_header",
+]
 
 
 MAX_PIXELS: Final = 64_000_000
@@ -29,6 +36,8 @@ _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _EXR: Final = b"\x76\x2f\x31\x01"
 _NOT_FRAMES: Final = {0xC4, 0xC8, 0xCC}  # tables that share the start-of-frame range of markers
 _TURNED: Final = {5, 6, 7, 8}  # EXIF orientations that swap width and height
+_START_OF_SCAN: Final = 0xDA
+_END_OF_IMAGE: Final = b"\xff\xd9"
 _ORIENTATION, _EXIF_FOLDER, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
 _SHORT, _LONG = 3, 4  # TIFF field types
 _HDR_HEADER_BYTES: Final = 1 << 16
@@ -112,12 +121,37 @@ def read_header(data: bytes) -> ImageHeader | None:
     return None
 
 
+def jpeg_ends(data: bytes) -> bool:
+    """Whether an end marker follows the pixels of a JPEG, whatever may be appended to it.
+
+    A camera's preview before them has an end of its own, and the film that a phone appends may hold
+    any bytes; among the pixels no marker comes by chance.
+    """
+    pixels = 0
+    for marker, _, end in _jpeg_segments(data):
+        pixels = end
+        if marker == _START_OF_SCAN:
+            break
+    return data.find(_END_OF_IMAGE, pixels) >= 0
+
+
 def _jpeg(data: bytes) -> ImageHeader | None:
     orientation, focal = 1, None
+    for marker, body, end in _jpeg_segments(data):
+        if marker == 0xE1 and data[body : body + 6] == b"Exif\0\0":
+            orientation, focal = _exif(data[body + 6 : end])
+        elif 0xC0 <= marker <= 0xCF and marker not in _NOT_FRAMES:
+            height, width = struct.unpack_from(">HH", data, body + 1)
+            if orientation in _TURNED:
+                width, height = height, width
+            return ImageHeader(width, height, focal)
+    return None
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Marker, begin and end of what a JPEG's segments hold, up to the first scan's pixels."""
     position = 2
-    while position + 4 <= len(data):
-        if data[position] != 0xFF:
-            return None
+    while position + 4 <= len(data) and data[position] == 0xFF:
         marker = data[position + 1]
         if marker == 0xFF:  # padding
             position += 1
@@ -126,16 +160,8 @@ def _jpeg(data: bytes) -> ImageHeader | None:
             position += 2
             continue
         (length,) = struct.unpack_from(">H", data, position + 2)
-        body = position + 4
-        if marker == 0xE1 and data[body : body + 6] == b"Exif\0\0":
-            orientation, focal = _exif(data[body + 6 : position + 2 + length])
-        elif 0xC0 <= marker <= 0xCF and marker not in _NOT_FRAMES:
-            height, width = struct.unpack_from(">HH", data, body + 1)
-            if orientation in _TURNED:
-                width, height = height, width
-            return ImageHeader(width, height, focal)
+        yield marker, position + 4, position + 2 + length
         position += 2 + length
-    return None
 
 
 def _exif(tiff: bytes) -> tuple[int, float | None]:

@@ -32,6 +32,7 @@ from spotlight_runtime.imaging.headers import check_header, read_header
 from spotlight_spec import replacing
 
 __all__ = [
+    "check_place",
     "check_target",
     "encode_png",
     "read_exr_layers",
@@ -171,17 +172,33 @@ def check_target(path: Path) -> None:
     InvalidInputError
         If no image format goes by this suffix.
     ImageFileError
-        If its folder does not exist, or cannot be written to.
+        As `check_place` says.
     """
     suffix = path.suffix.lower()
     if suffix not in _READABLE:
         raise InvalidInputError(
             f"{path}: expected one of {', '.join(sorted(_READABLE))}, got {suffix!r}"
         )
-    if not os.path.isdir(path.parent):
-        raise ImageFileError(f"{path}: cannot be written: there is no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK):
-        raise ImageFileError(f"{path}: cannot be written: the folder {path.parent} is read-only")
+    check_place(path)
+
+
+def check_place(path: Path) -> None:
+    """Raise if no file can be written under this name, whatever it is to hold.
+
+    Raises
+    ------
+    ImageFileError
+        If it is a folder, or its folder does not exist, or cannot be written to.
+    """
+    if os.path.isdir(path):
+        raise ImageFileError(f"{path}: cannot be written: it is a folder")
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe, a device
+        return
+    folder = Path(os.path.realpath(path)).parent if os.path.islink(path) else path.parent
+    if not os.path.isdir(folder):
+        raise ImageFileError(f"{path}: cannot be written: there is no folder {folder}")
+    if not os.access(folder, os.W_OK):
+        raise ImageFileError(f"{path}: cannot be written: the folder {folder} is read-only")
 
 
 def encode_png(image: FloatArray, *, bits: int = 8) -> bytes:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -123,17 +124,16 @@ def open_networks(
     Raises
     ------
     InvalidInputError
-        If there is no such engine.
+        If there is no such engine, no provider is named, or ``threads`` is less than 1.
+    ProviderError
+        If the first provider is not installed.
     ModelIntegrityError
         If a file is missing, truncated or changed since it was exported.
     """
-    stamps = _stamps(model)
-    if verify_files and (problems := model.manifest.damaged_files(model.path)):
-        raise ModelIntegrityError(
-            f"{model.path}: {'; '.join(problems)}. Copy the folder again or export the model again"
-        )
+    sessions.usable_threads(threads)  # sessions are opened later, which is late for an error
     opener: Callable[[Path, GraphContract], Network]
     if engine == "onnxruntime":
+        sessions.check_providers(providers)
         opener = partial(sessions.open_graph, providers=providers, threads=threads)
     elif engine in get_args(Engine):
         opener = partial(
@@ -144,6 +144,11 @@ def open_networks(
         )
     else:
         raise InvalidInputError(f"engine: expected {', '.join(get_args(Engine))}, got {engine!r}")
+    stamps = _stamps(model)
+    if verify_files and (problems := model.manifest.damaged_files(model.path)):
+        raise ModelIntegrityError(
+            f"{model.path}: {'; '.join(problems)}. Copy the folder again or export the model again"
+        )
     return LazyNetworks(model, opener, stamps if verify_files else None)
 
 
@@ -180,14 +185,16 @@ class LazyNetworks(Mapping[str, Network]):
         self._model = model
         self._opener = opener
         self._open: dict[str, Network] = {}
+        self._lock = Lock()
 
     def __getitem__(self, name: str) -> Network:
-        network = self._open.get(name)
-        if network is None:
-            contract = self._model.manifest.graph(name)
-            self._verify_again()
-            network = self._open[name] = self._opener(self._model.path, contract)
-        return network  # not looked up again: another thread may have released it meanwhile
+        with self._lock:  # threads that ask at once share one session
+            network = self._open.get(name)
+            if network is None:
+                contract = self._model.manifest.graph(name)
+                self._verify_again()
+                network = self._open[name] = self._opener(self._model.path, contract)
+            return network  # not looked up again: another thread may have released it meanwhile
 
     def __iter__(self) -> Iterator[str]:
         return (contract.name for contract in self._model.manifest.graphs)

@@ -24,7 +24,7 @@ from spotlight_spec import GraphContract
 if TYPE_CHECKING:
     import openvino as ov
 
-__all__ = ["OpenVinoGraph", "OpenVinoPrecision", "open_graph"]
+__all__ = ["OpenVinoGraph", "OpenVinoPrecision", "computes_indices", "open_graph"]
 
 OpenVinoPrecision = Literal["f32", "bf16"]
 _DTYPES: Final = {"f32": "float32", "i64": "int64"}
@@ -92,7 +92,8 @@ def open_graph(
     contract : GraphContract
     precision : {"f32", "bf16"}
         Of the arithmetic; weights are the model's. Without bfloat16 in the processor OpenVINO
-        computes in float32 all the same.
+        computes in float32 all the same, as it does where a graph works out places to read at
+        (`computes_indices`).
     threads : int, optional
         Threads of one inference; by default the CPUs of the cgroup.
     sizes : dict of int, optional
@@ -115,11 +116,6 @@ def open_graph(
         raise MissingExtraError(
             "engine openvino: OpenVINO is not installed; pip install 'spotlight-relight[openvino]'"
         ) from error
-    settings = {
-        "INFERENCE_PRECISION_HINT": precision,
-        "INFERENCE_NUM_THREADS": usable_threads(threads),
-        "PERFORMANCE_HINT": "LATENCY",
-    }
     path = folder / contract.file_name
     core = ov.Core()
     try:
@@ -128,6 +124,11 @@ def open_graph(
         raise ModelError(f"{path}: OpenVINO cannot load the graph: {error}") from error
     for expected, ports in ((contract.inputs, model.inputs), (contract.outputs, model.outputs)):
         check_tensors(contract, expected, [_described(port) for port in ports])
+    settings = {
+        "INFERENCE_PRECISION_HINT": "f32" if computes_indices(model) else precision,
+        "INFERENCE_NUM_THREADS": usable_threads(threads),
+        "PERFORMANCE_HINT": "LATENCY",
+    }
     own = _shapes(contract, sizes or {})
 
     def compiled(at_own: bool) -> ov.CompiledModel:
@@ -139,6 +140,28 @@ def open_graph(
         return core.compile_model(still, "CPU", settings)
 
     return OpenVinoGraph(compiled, contract, own)
+
+
+def computes_indices(model: ov.Model) -> bool:
+    """Whether a graph gathers at places that it works out with floating-point numbers.
+
+    Bfloat16 counts to 256: from there on its neighbour is read instead, or what lies outside. The
+    mini's condition encoder does, which runs once a branch and costs little in float32, too.
+    """
+    return any(
+        _was_floating(node.input_value(1))
+        for node in model.get_ops()
+        if node.get_type_name().startswith("Gather")
+    )
+
+
+def _was_floating(value: Any) -> bool:
+    """Whether integers come of floating-point numbers; an array's shape does not."""
+    if value.get_element_type().is_real():
+        return True
+    node = value.get_node()
+    sources = [] if node.get_type_name() == "ShapeOf" else node.input_values()
+    return any(_was_floating(source) for source in sources)
 
 
 def _shapes(contract: GraphContract, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:

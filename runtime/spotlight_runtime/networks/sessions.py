@@ -34,8 +34,10 @@ __all__ = [
     "Network",
     "OnnxGraph",
     "available_cpus",
+    "check_providers",
     "check_tensors",
     "open_graph",
+    "runtime_version",
     "usable_threads",
 ]
 
@@ -73,6 +75,38 @@ def usable_threads(wanted: int | None) -> int:
     if wanted is not None and wanted < 1:
         raise InvalidInputError(f"threads: expected 1 or more, got {wanted}")
     return wanted or available_cpus()
+
+
+def runtime_version() -> str:
+    """ONNX Runtime's, whichever of its distributions (for CPUs, for GPUs) is installed."""
+    import onnxruntime as ort
+
+    return str(ort.__version__)
+
+
+def check_providers(providers: Sequence[str]) -> None:
+    """Raise unless execution providers can be asked for.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are no list of names, or there is none.
+    ProviderError
+        If the first, which must be the one in use, is not installed.
+    """
+    import onnxruntime as ort
+
+    if isinstance(providers, str) or not providers:
+        raise InvalidInputError(
+            "providers: expected a list of ONNX Runtime's execution providers, say "
+            f"{list(DEFAULT_PROVIDERS)}, got {providers!r}"
+        )
+    installed = ort.get_available_providers()
+    if providers[0] not in installed:
+        raise ProviderError(
+            f"provider {providers[0]} is not installed; this onnxruntime has "
+            f"{', '.join(installed)}. Install the matching onnxruntime build or choose one of them"
+        )
 
 
 def _cgroup_quota(cgroup: Path) -> float | None:
@@ -152,7 +186,7 @@ def open_graph(
     Raises
     ------
     InvalidInputError
-        If ``threads`` is less than 1.
+        If ``threads`` is less than 1, or no provider is named.
     ProviderError
         If the first provider is not installed or did not take the graph.
     ModelError
@@ -162,12 +196,7 @@ def open_graph(
     """
     import onnxruntime as ort
 
-    installed = ort.get_available_providers()
-    if providers[0] not in installed:
-        raise ProviderError(
-            f"provider {providers[0]} is not installed; this onnxruntime has "
-            f"{', '.join(installed)}. Install the matching onnxruntime build or choose one of them"
-        )
+    check_providers(providers)
     options = ort.SessionOptions()
     options.intra_op_num_threads = usable_threads(threads)
     options.inter_op_num_threads = 1

@@ -13,12 +13,12 @@ import os
 import platform
 import time
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
+from spotlight_runtime.networks.sessions import runtime_version
 from spotlight_spec import write_json
 
 __all__ = [
@@ -236,7 +236,7 @@ def _machine(threads: int | None) -> str:
     """What times depend on besides the model: processor, cores in use, ONNX Runtime."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     facts = [platform.node(), platform.machine(), _processor(), str(usable), str(threads)]
-    return "; ".join([*facts, "onnxruntime " + version("onnxruntime")])
+    return "; ".join([*facts, "onnxruntime " + runtime_version()])
 
 
 def _processor() -> str:

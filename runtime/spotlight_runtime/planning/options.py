@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Final, Literal, TypedDict, get_args
 
 from spotlight_runtime.diffusion.blending import weight_of_steps
@@ -10,6 +12,7 @@ from spotlight_runtime.diffusion.noise import checked_seed
 from spotlight_runtime.diffusion.sampler import Fidelity
 from spotlight_runtime.diffusion.solvers import SOLVERS, SolverName
 from spotlight_runtime.errors import InvalidInputError
+from spotlight_runtime.geometry.lights import as_float
 from spotlight_spec import BackboneSpec
 
 __all__ = ["Detail", "OptionChanges", "RelightOptions", "WindowMode"]
@@ -106,24 +109,25 @@ class RelightOptions:
     skip: bool = True
 
     def __post_init__(self) -> None:
+        # Numbers are kept as Python's own: numpy's are no JSON.
         for name, high in _LIMITS.items():
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0.0 <= value <= high:
+            value = as_float(getattr(self, name))
+            if not 0.0 <= value <= high:
                 raise InvalidInputError(
-                    f"{name}: expected a number from 0 to {high:g}, got {value!r}"
+                    f"{name}: expected a number from 0 to {high:g}, got {getattr(self, name)!r}"
                 )
-        object.__setattr__(self, "seed", checked_seed(self.seed))  # a numpy integer is no JSON
-        for name in ("steps", "plain_steps"):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "seed", checked_seed(self.seed))
+        for name in ("steps", "plain_steps", "reuse"):
             value = getattr(self, name)
-            if value is not None and (type(value) is not int or value < 1):
-                raise InvalidInputError(f"{name}: expected a whole number from 1, got {value!r}")
-        if type(self.reuse) is not int or self.reuse < 1:
-            raise InvalidInputError(f"reuse: expected a whole number from 1, got {self.reuse!r}")
-        interval = tuple(self.guidance_interval)
+            if value is not None or name == "reuse":
+                object.__setattr__(self, name, _counted(name, value))
+        given = self.guidance_interval
+        interval = tuple(map(as_float, given)) if isinstance(given, Iterable) else ()
         if len(interval) != 2 or not 0.0 <= interval[0] <= interval[1] <= 1.0:
             raise InvalidInputError(
                 "guidance_interval: expected two shares of the steps, 0 ≤ from ≤ to ≤ 1, got "
-                f"{self.guidance_interval!r}"
+                f"{given!r}"
             )
         object.__setattr__(self, "guidance_interval", interval)
         if self.fidelity not in ("paper", "release"):
@@ -175,6 +179,12 @@ class RelightOptions:
         plain = _checked_steps("plain_steps", self.plain_steps, steps, spec)
         batched = self.batched_for(spec)
         return replace(self, steps=steps, plain_steps=plain, batch_branches=batched)
+
+
+def _counted(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
+        raise InvalidInputError(f"{name}: expected a whole number from 1, got {value!r}")
+    return int(value)
 
 
 def _checked_steps(name: str, wanted: int | None, usual: int, spec: BackboneSpec) -> int:

@@ -207,7 +207,10 @@ class Plan:
         return {graph: number for graph, number in count.items() if number}
 
     def only(self, number: int, *, first: bool) -> Plan:
-        """The same for one of its lights; what lights share belongs to the first of them."""
+        """The same for one of its lights; what lights share belongs to the first of them.
+
+        Its effects are those of all lights still (`spotlight_runtime.planning.rules.part_of`).
+        """
         plain = self.plain
         if not first and plain.source == "run":
             plain = replace(plain, source="remembered")

@@ -21,7 +21,7 @@ from spotlight_runtime.planning.costs import Costs
 from spotlight_runtime.planning.options import RelightOptions
 from spotlight_runtime.planning.plan import Effect, GuidedPass, PlainPass, Plan
 
-__all__ = ["Facts", "LightFacts", "make_plan"]
+__all__ = ["Facts", "LightFacts", "make_plan", "part_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +109,38 @@ def make_plan(
     """
     passes = tuple(_guided_pass(facts, light, options) for light in facts.lights)
     plain = _plain_pass(facts, passes[0], options)
+    effects = _effects(facts, passes, plain, options, costs)
+    usual = "exact" if all(effect.exact for effect in effects) else "custom"
+    return Plan(passes, plain, effects, bool(options.batch_branches), name or usual)
+
+
+def part_of(
+    plan: Plan, number: int, facts: Facts, options: RelightOptions, costs: Costs | None = None
+) -> Plan:
+    """What of a plan is for one of its lights; what all share is for the first of them.
+
+    Parameters
+    ----------
+    plan : Plan
+        As `make_plan` makes it of the other arguments.
+    number : int
+        Which light.
+    facts, options, costs
+        As `make_plan` takes them.
+    """
+    part = plan.only(number, first=number == 0)
+    shared = facts.prepared_seconds if number == 0 else 0.0
+    alone = replace(facts, lights=(facts.lights[number],), prepared_seconds=shared)
+    return replace(part, effects=_effects(alone, part.passes, part.plain, options, costs))
+
+
+def _effects(
+    facts: Facts,
+    passes: tuple[GuidedPass, ...],
+    plain: PlainPass,
+    options: RelightOptions,
+    costs: Costs | None,
+) -> tuple[Effect, ...]:
     effects = (
         _relight_effect(facts, passes, options),
         _guidance_effect(facts, passes, options),
@@ -120,9 +152,7 @@ def make_plan(
         Effect("denoiser", *_switch(facts.denoised)),
         Effect("composite", True, "puts light and shadow into the photograph"),
     )
-    usual = "exact" if all(effect.exact for effect in effects) else "custom"
-    plan = Plan(passes, plain, effects, bool(options.batch_branches), name or usual)
-    return plan if costs is None else _priced(plan, facts, costs)
+    return effects if costs is None else _priced(effects, passes, plain, facts, costs)
 
 
 def _guided_pass(facts: Facts, light: LightFacts, options: RelightOptions) -> GuidedPass:
@@ -240,22 +270,28 @@ def _switch(said: str) -> tuple[bool, str]:
     return state == "on", reason
 
 
-def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
-    """The plan with predicted seconds."""
+def _priced(
+    effects: tuple[Effect, ...],
+    passes: tuple[GuidedPass, ...],
+    plain: PlainPass,
+    facts: Facts,
+    costs: Costs,
+) -> tuple[Effect, ...]:
+    """The effects with predicted seconds."""
     size = facts.latents
     condition = costs.condition.at(size)
     decode, encode = costs.decode.at(size), costs.encode.at(size)
-    negatives = sum(p.branches - 1 for p in plan.passes)
-    ran = plan.plain.source == "run"
-    passes = {"relight": len(plan.passes), "pass without shadow": int(ran)}
+    negatives = sum(p.branches - 1 for p in passes)
+    ran = plain.source == "run"
+    run = {"relight": len(passes), "pass without shadow": int(ran)}
     extra = {
-        "relight": len(plan.passes) * (condition + decode),
+        "relight": len(passes) * (condition + decode),
         "guidance": negatives * condition,
-        "shadow blending": encode * sum(sum(p.encoded) for p in plan.passes),
+        "shadow blending": encode * sum(sum(p.encoded) for p in passes),
         "pass without shadow": (condition + decode) * ran,
-        "composite": len(plan.passes) * costs.composite(facts.pixels, facts.native),
+        "composite": len(passes) * costs.composite(facts.pixels, facts.native),
     }
-    priced = tuple(
+    return tuple(
         effect
         if effect.seconds is not None
         else replace(
@@ -264,10 +300,9 @@ def _priced(plan: Plan, facts: Facts, costs: Costs) -> Plan:
                 size,
                 effect.evaluations - effect.shallow,
                 effect.shallow,
-                passes.get(effect.name, 0),
+                run.get(effect.name, 0),
             )
             + extra.get(effect.name, 0.0),
         )
-        for effect in plan.effects
+        for effect in effects
     )
-    return replace(plan, effects=priced)

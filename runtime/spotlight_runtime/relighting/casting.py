@@ -23,7 +23,7 @@ from spotlight_runtime.relighting.window import Window, look
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_runtime.shadows.shadow import ShadowCaster
 
-__all__ = ["Cast", "caster_of", "megapixel"]
+__all__ = ["Cast", "caster_of", "megapixel", "say_of"]
 
 
 MOST_PIXELS: Final = 1 << 20
@@ -58,13 +58,18 @@ def caster_of(scene: Scene) -> Cast:
     def cast(light: Light, asked_for: bool) -> FloatArray:
         result = caster.cast(light)
         if result.notice is not None and asked_for:
-            where = "" if light.azimuth is None else f"light at azimuth {light.azimuth:g}°: "
-            warnings.warn(where + result.notice, ShadowWarning, stacklevel=2)
+            say_of(light, result.notice)
         if small is scene:
             return result.shadow
         return _magnified(result.shadow, small.object_mask, scene.object_mask)
 
     return cast
+
+
+def say_of(light: Light, notice: str) -> None:
+    """Warn of something about the shadows of a light."""
+    where = "" if light.azimuth is None else f"light at azimuth {light.azimuth:g}°: "
+    warnings.warn(where + notice, ShadowWarning, stacklevel=3)
 
 
 def megapixel(scene: Scene) -> Scene:

@@ -10,12 +10,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from spotlight_runtime.arrays import FloatArray, check_array
-from spotlight_runtime.errors import DtypeError, InvalidInputError
-from spotlight_runtime.geometry.lights import Light, Vector
-from spotlight_runtime.relighting.casting import Cast, caster_of
+from spotlight_runtime.errors import DtypeError, InvalidInputError, LightError
+from spotlight_runtime.geometry.lights import Light, Vector, as_float, three
+from spotlight_runtime.relighting.casting import Cast, caster_of, say_of
 from spotlight_runtime.scenes.scene import Scene
 
-__all__ = ["Guide", "GuidingShadow", "Negative", "guiding_shadows"]
+__all__ = ["Guide", "GuidingShadow", "Negative", "giving_light", "guiding_shadows"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +41,13 @@ class GuidingShadow:
     colour: Vector = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        for name, value in (("weight", self.weight), *(("colour", c) for c in self.colour)):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidInputError(f"{name}: expected a finite number ≥ 0, got {value}")
-        if len(self.colour) != 3:
-            raise InvalidInputError(f"colour: expected red, green, blue, got {self.colour!r}")
+        colour = three(self.colour, "colour", "red, green, blue")
+        for name, value in (("weight", self.weight), *(("colour", c) for c in colour)):
+            number = as_float(value)
+            if not (math.isfinite(number) and number >= 0.0):
+                raise InvalidInputError(f"{name}: expected a finite number ≥ 0, got {value!r}")
+        object.__setattr__(self, "weight", as_float(self.weight))
+        object.__setattr__(self, "colour", tuple(map(as_float, colour)))
 
     def check(self, size: tuple[int, int], of: str = "") -> None:
         """Raise unless both shadows are of the scene's size and in range.
@@ -65,6 +67,20 @@ Negative = Light | FloatArray | Literal["opposite", "none"]
 """Shadow of the negative branch: of the light opposite, none, of another light, or ready."""
 
 
+def giving_light(guide: Guide | Sequence[Guide]) -> Guide | Sequence[Guide]:
+    """Of several lights those that a picture of them all shows; all where there are none."""
+    if not isinstance(guide, Sequence):
+        return guide
+    return [each for each in guide if _gives_light(each)] or guide
+
+
+def _gives_light(guide: Guide) -> bool:
+    """Whether a light has weight and colour; a bare shadow has both."""
+    if isinstance(guide, Light | GuidingShadow):
+        return guide.weight > 0.0 and any(guide.colour)
+    return True
+
+
 def guiding_shadows(
     scene: Scene, guide: Guide | Sequence[Guide], negative: Negative | None = None
 ) -> tuple[GuidingShadow, ...]:
@@ -76,7 +92,8 @@ def guiding_shadows(
     guide : Light, GuidingShadow, ndarray of float32 of shape (H, W), or a sequence of them
         Several are several lights.
     negative : Light, ndarray, "opposite", "none", optional
-        By default the light opposite for a light, and no shadow for a ready shadow.
+        By default the light opposite for a light, and no shadow for a ready shadow, or where the
+        light opposite would be in the object or below the floor, which a warning says.
 
     Returns
     -------
@@ -87,8 +104,10 @@ def guiding_shadows(
     ------
     InvalidInputError
         If there is no light, the negative does not go with it, or a shadow is out of range.
-    GeometryError
-        If the scene has nothing that casts a shadow, or a light cannot cast one on it.
+    GroundError, MissingExtraError
+        If the scene has nothing to cast shadows on, or what casts them is not installed.
+    LightError
+        If a light is where none can be.
     """
     guides = tuple(guide) if isinstance(guide, Sequence) else (guide,)
     if not guides:
@@ -125,15 +144,30 @@ def _guiding_shadow(cast: Cast | None, guide: Guide, negative: Negative | None) 
         return guide
     if isinstance(guide, Light):
         assert cast is not None
-        usual = negative is None or (isinstance(negative, str) and negative == "opposite")
-        across = guide.opposite() if usual else negative
-        return GuidingShadow(cast(guide, True), _drawn(cast, across), guide.weight, guide.colour)
+        shadow, across = cast(guide, True), _contrast(cast, guide, negative)
+        return GuidingShadow(shadow, across, guide.weight, guide.colour)
     if isinstance(negative, str) and negative == "opposite":
         raise InvalidInputError(
             "negative: the opposite of a ready shadow is not known; give it as a shadow of its "
             "own, or none"
         )
     return GuidingShadow(guide, _drawn(cast, negative))
+
+
+def _contrast(cast: Cast, light: Light, negative: Negative | None) -> FloatArray | None:
+    """The negative shadow of a light, by default that of the light opposite if there can be one."""
+    asked_for = isinstance(negative, str) and negative == "opposite"
+    if not (negative is None or asked_for):
+        return _drawn(cast, negative)
+    try:
+        return cast(light.opposite(), False)
+    except LightError as error:
+        if asked_for:
+            raise LightError(
+                f'negative: the opposite {error}; or choose no shadow (negative "none")'
+            ) from error
+        say_of(light, "there is no place for the light opposite; it is contrasted with no shadow")
+        return None
 
 
 def _drawn(cast: Cast | None, negative: Negative | None) -> FloatArray | None:

@@ -18,6 +18,7 @@ import numpy as np
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.diffusion.conditioning import KnownMaps
 from spotlight_runtime.diffusion.sampler import LoopInputs, Step
+from spotlight_runtime.errors import ModelError
 from spotlight_runtime.imaging.colour import decode_to_linear, linear_to_srgb
 from spotlight_runtime.networks.codec import decode_latents
 from spotlight_runtime.networks.models import Engine, open_networks, release, resolve_model
@@ -39,7 +40,7 @@ from spotlight_runtime.relighting.finishing import result
 from spotlight_runtime.relighting.guides import Guide, Negative
 from spotlight_runtime.relighting.preparation import loop_inputs
 from spotlight_runtime.relighting.remembered import CAPACITY, Remembered
-from spotlight_runtime.relighting.result import Progress, RelightResult
+from spotlight_runtime.relighting.result import Progress, RelightResult, Stopwatch
 from spotlight_runtime.relighting.tasks import Task, Wishes, prepare_task
 from spotlight_runtime.scenes.scene import Scene
 from spotlight_spec import BackboneSpec
@@ -70,6 +71,11 @@ class Relighter:
     costs : Costs or None
         What the stages cost, as measured; None where they were not yet. Predictions follow what
         relights took since (`spotlight_runtime.planning.costs.Pace`).
+
+    Raises
+    ------
+    ModelError
+        If the backbone is for relighting the picture around an object, not an object in it.
     """
 
     def __init__(
@@ -82,6 +88,12 @@ class Relighter:
         remember: int = CAPACITY,
         costs_file: Path | None = None,
     ) -> None:
+        if spec.shading.known == "inside":
+            raise ModelError(
+                f"{spec.name}: expected a backbone that is told the shading around object and "
+                "shadow, got one that is told theirs alone: it relights the rest of the picture "
+                "after them. To relight an object use another, say zerocomp-openrooms or mini"
+            )
         self.spec = spec
         self._networks = networks
         self._low_memory = low_memory
@@ -129,20 +141,21 @@ class Relighter:
         ModelError
             If the model is unknown, damaged, or cannot run on the provider.
         InvalidInputError
-            If there is no such engine.
+            If there is no such engine, no provider is named, or ``threads`` is less than 1.
         """
         folder = resolve_model(model)
         networks = open_networks(
             folder, engine=engine, providers=providers, threads=threads, verify_files=verify_files
         )
         facts = folder.summary() | {"engine": engine}
+        run_on = (facts["fingerprint"], facts["precision"], engine, *providers)
         return cls(
             folder.manifest.backbone,
             networks,
             low_memory=low_memory,
             model=facts,
             remember=remember,
-            costs_file=cache_path(f"{facts['fingerprint']} {facts['precision']} {engine}", threads),
+            costs_file=cache_path(" ".join(run_on), threads),
         )
 
     def relight(
@@ -162,10 +175,11 @@ class Relighter:
             A light, whose guiding shadow is cast; or a ready guiding shadow in [0, 1], 1 = fully
             shadowed. What lies under the object is ignored. Several lights make one picture, each
             with its weight and colour (`spotlight_runtime.relighting.mixing`); for ready shadows
-            these are given as `GuidingShadow`.
+            these are given as `GuidingShadow`. Lights without weight or colour are left out, as
+            long as there are others.
         negative : Light, ndarray of float32 of shape (H, W), "opposite" or "none", optional
             What the guidance contrasts with. By default the light opposite; of a ready shadow, no
-            shadow.
+            shadow, and of a light whose opposite would be in the object, likewise.
         options : RelightOptions, optional
         **changes
             Single options by name: ``gamma=3.0, seed=469``; a named ``plan`` or a ``budget`` in
@@ -214,7 +228,8 @@ class Relighter:
         **changes: Unpack[Wishes],
     ) -> Generator[Progress, None, RelightResult]:
         """Do as `relight`, yielding after each step, returning the result; close it to cancel."""
-        return (yield from self.start(self.prepare(scene, light, negative, options, **changes)))
+        task = self.prepare(scene, light, negative, options, mixed=True, **changes)
+        return (yield from self.start(task))
 
     def run_each(
         self,
@@ -233,12 +248,15 @@ class Relighter:
         light: Guide | Sequence[Guide],
         negative: Negative | None = None,
         options: RelightOptions | None = None,
+        *,
+        mixed: bool = False,
         **changes: Unpack[Wishes],
     ) -> Task:
         """Cast shadows, choose the window and bring everything to the model's scale.
 
         What comes out is all that is needed; who lets go of the scene here has a relight of a
-        12-megapixel photograph in half the memory. Parameters and errors are those of `relight`.
+        12-megapixel photograph in half the memory. Parameters and errors are those of `relight`;
+        what is ``mixed`` is for `start` alone and leaves out lights without weight or colour.
         """
         return prepare_task(
             self.spec,
@@ -250,6 +268,7 @@ class Relighter:
             self._remembered,
             self._costs_for,
             self._reusable,
+            mixed=mixed,
         )
 
     def plan(
@@ -265,7 +284,7 @@ class Relighter:
         Parameters and errors are those of `relight`.
         """
         self.calibrated()
-        return self.prepare(scene, light, negative, options, **changes).plan
+        return self.prepare(scene, light, negative, options, mixed=True, **changes).plan
 
     def calibrated(self, *, again: bool = False) -> Costs:
         """What the stages cost on this machine; measured in two seconds where it is not known.
@@ -317,15 +336,19 @@ class Relighter:
         with task.stopwatch.stage("encode"):
             known = KnownMaps.of(self.spec, task.prepared.view)
         for lights in task.plan.together:
-            with task.stopwatch.stage("encode"):
+            group = task.timed_by(Stopwatch())
+            with group.stopwatch.stage("encode"):
                 inputs = [self._inputs(task, number, known) for number in lights]
-            latents = yield from self._guided(task, lights, inputs)
+            latents = yield from self._guided(group, lights, inputs)
             for number, each in zip(lights, latents):
-                predicted = self._develop(task, each)
-                if no_shadow is None:
-                    plain = yield from self._plain(task, known, inputs[0].initial_noise)
-                    no_shadow = self._no_shadow(task, plain, predicted)
                 alone = task.only(number)
+                alone.stopwatch.charge(group.stopwatch.seconds, len(lights))
+                predicted = self._develop(alone, each)
+                if no_shadow is None:
+                    # Progress is told as of all lights, and timed as of this one.
+                    shared = task.timed_by(alone.stopwatch)
+                    plain = yield from self._plain(shared, known, inputs[0].initial_noise)
+                    no_shadow = self._no_shadow(shared, plain, predicted)
                 yield result(self.spec, alone, [predicted], no_shadow, self._model)
         self._release("vae_encoder", "condition_encoder", *EVERY_STEP, "vae_decoder")
 

@@ -64,7 +64,8 @@ class RelightResult:
     plan : Plan
         What was run, what was left out, and why.
     timings : dict of float
-        Seconds by stage.
+        Seconds by stage. Where each light has a picture of its own, what all lights share counts
+        for the first, and what some went through together for each in equal parts.
     denoised : str
         ``on``, or why not.
     window : Window
@@ -120,7 +121,12 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.charge({name: time.perf_counter() - start})
+
+    def charge(self, seconds: Mapping[str, float], among: int = 1) -> None:
+        """Add one of so many equal parts of seconds by stage."""
+        for name, taken in seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + taken / among
 
 
 def peak_memory_bytes(status: Path = Path("/proc/self/status")) -> int | None:

@@ -13,10 +13,9 @@ import numpy as np
 
 from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import InvalidInputError, NonFiniteError
-from spotlight_runtime.imaging.colour import luma
 from spotlight_runtime.imaging.images import read_image
 from spotlight_runtime.relighting.guides import GuidingShadow
-from spotlight_runtime.shadows.scribble import clean_scribble
+from spotlight_runtime.shadows.scribble import check_shadow, clean_scribble, grey_of
 
 __all__ = ["read_drawing", "read_ready_shadow", "read_shadow", "ready_shadows"]
 
@@ -26,7 +25,7 @@ _NEGATIVE: Final = "shadow_negative_{}.png"
 
 
 def read_shadow(path: Path) -> FloatArray:
-    """Read a guiding shadow from an image: its luma, white is shadow.
+    """Read a guiding shadow from an image: its luma times alpha, white is shadow.
 
     Returns
     -------
@@ -45,13 +44,16 @@ def read_shadow(path: Path) -> FloatArray:
         raise NonFiniteError(
             f"{path}: the shadow holds NaN or infinity; expected values in [0, 1], write it again"
         )
-    if pixels.ndim == 3:
-        pixels = luma(pixels[..., :3]) if pixels.shape[2] >= 3 else pixels[..., 0]
-    return np.clip(pixels, 0.0, 1.0)
+    return np.clip(grey_of(pixels), 0.0, 1.0)
 
 
 def read_drawing(
-    path: Path, object_mask: FloatArray, *, softness: float | None = None, invert: bool = False
+    path: Path,
+    object_mask: FloatArray,
+    *,
+    softness: float | None = None,
+    invert: bool = False,
+    blank: bool = False,
 ) -> FloatArray:
     """Read a guiding shadow, or a drawing of one, of any size.
 
@@ -66,6 +68,8 @@ def read_drawing(
         Pixels over which its edges fade.
     invert : bool
         Black is shadow.
+    blank : bool
+        One of the scene's size may be without shadow, as that of a light opposite.
 
     Returns
     -------
@@ -76,11 +80,12 @@ def read_drawing(
     ImageFileError
         If the file cannot be read.
     InvalidInputError
-        If nothing is drawn on it.
+        If nothing is drawn on it, or it seems to be inverted.
     """
     if softness is None and not invert:
         shadow = read_shadow(path)
         if shadow.shape == object_mask.shape:
+            check_shadow(shadow, blank=blank)
             return shadow
     drawing = read_image(path)
     return clean_scribble(drawing, object_mask, softness=softness or 0.0, invert=invert)

@@ -15,9 +15,9 @@ from spotlight_runtime.planning.costs import Costs
 from spotlight_runtime.planning.ladder import PlanName, named_rung, read_ladder
 from spotlight_runtime.planning.options import OptionChanges, RelightOptions, WindowMode
 from spotlight_runtime.planning.plan import Plan
-from spotlight_runtime.planning.rules import Facts, make_plan
+from spotlight_runtime.planning.rules import Facts, make_plan, part_of
 from spotlight_runtime.relighting.facts import scene_facts, softness
-from spotlight_runtime.relighting.guides import Guide, Negative, guiding_shadows
+from spotlight_runtime.relighting.guides import Guide, Negative, giving_light, guiding_shadows
 from spotlight_runtime.relighting.passes import denoising
 from spotlight_runtime.relighting.preparation import Prepared, prepare_window
 from spotlight_runtime.relighting.remembered import Remembered, plain_key, view_digest
@@ -54,6 +54,8 @@ class Task:
         With nothing left to default.
     plan : Plan
         What is to be run.
+    parts : tuple of Plan
+        What of it is for each of the lights, where each has a picture of its own.
     denoised : str
         ``on``, or why not.
     stopwatch : Stopwatch
@@ -66,6 +68,7 @@ class Task:
     prepared: Prepared
     options: RelightOptions
     plan: Plan
+    parts: tuple[Plan, ...]
     denoised: str
     stopwatch: Stopwatch
     plain_key: str
@@ -78,12 +81,17 @@ class Task:
 
     def fresh(self) -> Task:
         """The same with a stopwatch of its own, for one more run."""
-        return replace(self, stopwatch=Stopwatch(self.stopwatch.seconds))
+        return self.timed_by(Stopwatch(self.stopwatch.seconds))
+
+    def timed_by(self, stopwatch: Stopwatch) -> Task:
+        """The same with another stopwatch."""
+        return replace(self, stopwatch=stopwatch)
 
     def only(self, number: int) -> Task:
-        """The same with one of its lights."""
-        plan = self.plan.only(number, first=number == 0)
-        return replace(self, prepared=self.prepared.only(number), plan=plan)
+        """The same with one of its lights; the first takes what was timed so far upon itself."""
+        stopwatch = Stopwatch(self.stopwatch.seconds if number == 0 else None)
+        alone = replace(self, prepared=self.prepared.only(number), plan=self.parts[number])
+        return alone.timed_by(stopwatch)
 
     def drain(
         self, trajectory: Iterator[Step], stage: PassName, lights: range, steps: int
@@ -135,6 +143,8 @@ def prepare_task(
     remembered: Remembered,
     costs: Callable[[bool], Costs | None],
     reusable: bool = False,
+    *,
+    mixed: bool = False,
 ) -> Task:
     """Cast shadows, choose the plan and the window, and bring everything to the model's scale.
 
@@ -152,6 +162,8 @@ def prepare_task(
         ``costs(needed)`` → what stages cost here; where not needed, None will do.
     reusable : bool
         Whether the model predicts from an earlier step's deep features, too.
+    mixed : bool
+        Whether all lights make one picture: those that give no light are left out.
 
     Returns
     -------
@@ -169,6 +181,8 @@ def prepare_task(
     stopwatch = Stopwatch()
     # No rung of a ladder has it otherwise; an error about it now, not after shadows were cast.
     denoised = denoising(spec, choices[0][1])
+    if mixed:
+        light = giving_light(light)
     with stopwatch.stage("prepare"):
         guides = guiding_shadows(scene, light, negative)
 
@@ -191,7 +205,10 @@ def prepare_task(
         facts = replace(facts, remembered=no_shadow is not None, prepared_seconds=took)
         plan = make_plan(facts, chosen, known, name)
         if budget is None or (plan.seconds is not None and plan.seconds <= budget):
-            return Task(prepared, chosen, plan, denoised, stopwatch, key, no_shadow)
+            parts = tuple(
+                part_of(plan, number, facts, chosen, known) for number in range(len(guides))
+            )
+            return Task(prepared, chosen, plan, parts, denoised, stopwatch, key, no_shadow)
         quickest = min(quickest, plan.seconds or math.inf)
     raise BudgetError(
         f"budget: expected at least {quickest:.2g} s, which the quickest plan takes for this scene "

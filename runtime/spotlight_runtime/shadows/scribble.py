@@ -12,7 +12,7 @@ from spotlight_runtime.arrays import FloatArray
 from spotlight_runtime.errors import InvalidInputError, NonFiniteError, ShapeError
 from spotlight_runtime.imaging.colour import luma
 
-__all__ = ["clean_scribble"]
+__all__ = ["check_shadow", "clean_scribble", "grey_of"]
 
 
 _PAPER: Final = 20.0
@@ -25,6 +25,11 @@ _WIDTH_OF_SIGMA: Final = 2.563
 """A Gaussian edge climbs from 10 to 90 % within so many standard deviations."""
 _DARK: Final = 0.1
 """From here on a shadow hides the shading from the network."""
+_INVERTED: Final = (
+    "scribble: expected white where the shadow falls, on black; most of it is white. "
+    "Invert it (--invert)"
+)
+_EMPTY: Final = f"scribble: expected a drawing, found nothing that stands out by {_FAINTEST:.0%}"
 
 
 def clean_scribble(
@@ -65,7 +70,7 @@ def clean_scribble(
     if not (math.isfinite(softness) and softness >= 0.0):
         raise InvalidInputError(f"softness: expected pixels ≥ 0, got {softness}")
     height, width = object_mask.shape
-    grey = _grey(drawing, invert)
+    grey = grey_of(drawing, invert=invert)
     shrinks = grey.shape[0] > height or grey.shape[1] > width
     grey = np.asarray(
         cv2.resize(
@@ -76,14 +81,9 @@ def clean_scribble(
     )
     paper, ink = float(np.percentile(grey, _PAPER)), float(grey.max())
     if float(np.median(grey)) - paper > 0.5 * (ink - paper) or paper > 0.5:
-        raise InvalidInputError(
-            "scribble: expected white where the shadow falls, on black; most of it is white. "
-            "Invert it (--invert)"
-        )
+        raise InvalidInputError(_INVERTED)
     if ink - paper < _FAINTEST:
-        raise InvalidInputError(
-            f"scribble: expected a drawing, found nothing that stands out by {_FAINTEST:.0%}"
-        )
+        raise InvalidInputError(_EMPTY)
     shadow = np.clip((grey - paper) / (ink - paper), 0.0, 1.0)
     shadow = np.clip((shadow - _GRAIN) / (1.0 - _GRAIN), 0.0, 1.0)
     if softness > 0.0:
@@ -99,8 +99,45 @@ def clean_scribble(
     return cleaned
 
 
-def _grey(drawing: FloatArray, invert: bool) -> FloatArray:
-    """Luma times alpha, shape (h, w), in [0, 1]."""
+def check_shadow(shadow: FloatArray, *, blank: bool = False) -> None:
+    """Raise what `clean_scribble` would say of a shadow that is taken as it is.
+
+    Parameters
+    ----------
+    shadow : ndarray of float32, shape (H, W)
+        In [0, 1].
+    blank : bool
+        It may be empty.
+
+    Raises
+    ------
+    InvalidInputError
+        If it is empty, or 1 nearly everywhere.
+    """
+    if float(np.percentile(shadow, _PAPER)) > 1.0 - _DARK:
+        raise InvalidInputError(_INVERTED)
+    if not blank and float(shadow.max()) < _FAINTEST:
+        raise InvalidInputError(_EMPTY)
+
+
+def grey_of(drawing: FloatArray, *, invert: bool = False) -> FloatArray:
+    """Luma times alpha: what is drawn on nothing counts by how much it covers.
+
+    Parameters
+    ----------
+    drawing : ndarray of float32, shape (h, w) or (h, w, C) with C from 1 to 4
+    invert : bool
+        Black counts instead of white.
+
+    Returns
+    -------
+    ndarray of float32, shape (h, w)
+        In [0, 1] if alpha is.
+
+    Raises
+    ------
+    ShapeError, NonFiniteError
+    """
     if not 2 <= drawing.ndim <= 3 or drawing.size == 0:
         raise ShapeError(f"scribble: expected shape (h, w) or (h, w, 1..4), got {drawing.shape}")
     if not np.isfinite(drawing).all():

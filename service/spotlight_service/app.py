@@ -23,6 +23,7 @@ from spotlight_service.problems import (
     MEDIA_TYPE,
     ProblemError,
     disk_is_full,
+    fields_in,
     of_error,
     of_validation,
 )
@@ -69,7 +70,7 @@ def create_app(settings: Settings | None = None, workforce: Any = "own") -> Fast
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with service.running(crew):
             yield
-        service.database.close()
+        service.close()
 
     app = FastAPI(
         title="SpotLight",
@@ -78,6 +79,7 @@ def create_app(settings: Settings | None = None, workforce: Any = "own") -> Fast
         lifespan=lifespan,
         docs_url=None,  # they load scripts from elsewhere; the page explains, /openapi.json tells
         redoc_url=None,
+        redirect_slashes=False,
     )
     app.state.service = service
     for part in (scenes, jobs, about, inference):
@@ -85,7 +87,8 @@ def create_app(settings: Settings | None = None, workforce: Any = "own") -> Fast
     for kind in KNOWN:
         app.add_exception_handler(kind, _problem)
     app.add_exception_handler(Exception, _problem)
-    app.mount("/", StaticFiles(directory=PAGE, html=True), name="page")
+    # Not mounted: that would take paths that are known by another method, whose answer is 405.
+    app.router.default = StaticFiles(directory=PAGE, html=True)
     app.add_middleware(
         Gate, settings=settings, access=service.access, counted=service.metrics.answered
     )
@@ -110,8 +113,7 @@ async def _problem(request: Request, error: Exception) -> Response:
 def _of_http(error: HTTPException) -> ProblemError:
     if disk_is_full(error):
         return of_error(OSError(28, "no space"))
-    field, _, rest = str(error.detail).partition(": ")
-    told = [{"field": field, "expected": rest, "got": "more"}] if error.status_code == 413 else []
+    told = fields_in(str(error.detail))
     return ProblemError(error.status_code, str(error.detail), told, error.headers)
 
 

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
+import socket
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
+from pydantic import ValidationError
 
 from spotlight_runtime.errors import SpotLightError
 from spotlight_runtime.networks.models import Engine
-from spotlight_service.problems import ProblemError
+from spotlight_service.problems import ProblemError, of_validation
 from spotlight_service.security.keys import KeyStore
 from spotlight_service.settings import Settings
 from spotlight_service.storage.database import Database
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
 
 __all__ = ["main"]
 
 KEEP_ALIVE_S: Final = 30
 """Seconds an idle connection is kept for a next request."""
+log = logging.getLogger(__name__)
 
 app = typer.Typer(
     add_completion=False,
@@ -120,8 +127,6 @@ def revoke_key(
 
 
 def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
-    import uvicorn
-
     from spotlight_runtime.networks.models import resolve_model
     from spotlight_service.app import create_app
     from spotlight_service.logs import configure_logging
@@ -129,11 +134,6 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
     settings = Settings(**given)
     for model in settings.models:
         resolve_model(model)  # now, not in a worker that dies again and again
-    scratch = settings.data / "scratch"
-    shutil.rmtree(scratch, ignore_errors=True)  # of one that was killed
-    scratch.mkdir(parents=True, mode=0o700)
-    # Uploads, too, on the disk whose space is watched; the studio is a child and does likewise.
-    os.environ["TMPDIR"] = tempfile.tempdir = str(scratch)
     configure_logging()
     crew: Any = "own"
     if ray:
@@ -147,10 +147,20 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
             f"host: expected a loopback address while there is no API key, got {settings.host}; "
             "make one (spotlight-serve keys add NAME), or say --insecure-open"
         )
+    with _listening(settings.host, settings.port) as sockets:
+        scratch = settings.data / "scratch"
+        shutil.rmtree(scratch, ignore_errors=True)  # of one that was killed
+        scratch.mkdir(mode=0o700)
+        # Uploads, too, on the disk whose space is watched; the studio is a child and does likewise.
+        os.environ["TMPDIR"] = tempfile.tempdir = str(scratch)
+        _run(service, settings, sockets)
+
+
+def _run(service: FastAPI, settings: Settings, sockets: list[socket.socket]) -> None:
+    import uvicorn
+
     config = uvicorn.Config(
         service,
-        host=settings.host,
-        port=settings.port,
         log_config=None,
         access_log=False,
         server_header=False,
@@ -166,7 +176,27 @@ def _serve(given: dict[str, Any], ray: bool, replicas: int) -> None:
         leave(number, frame)
 
     server.handle_exit = leaving  # type: ignore[method-assign, assignment]
-    server.run()
+    log.info("listening", extra={"at": [each.getsockname()[:2] for each in sockets]})
+    server.run(sockets)
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[list[socket.socket]]:
+    """Sockets at all addresses of a host, before anything is begun that would be in vain."""
+    with ExitStack() as opened:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            sockets = [
+                opened.enter_context(socket.create_server(address, family=family))
+                for family, _, _, _, address in found
+            ]
+        except OSError as error:
+            why = str(error.strerror).partition(" (")[0]  # which goes on with the address again
+            raise RuntimeError(
+                f"host, port: expected an address that is free to listen at, got {host}:{port} "
+                f"({why}); choose another (--host, --port)"
+            ) from error
+        yield sockets
 
 
 @contextmanager
@@ -189,6 +219,10 @@ def main() -> None:
             "pip install 'spotlight-relight[service]' (and [ray] for --ray)",
             file=sys.stderr,
         )
+        sys.exit(1)
+    except ValidationError as error:
+        of_settings = [{**each, "loc": ("settings", *each["loc"])} for each in error.errors()]
+        print("spotlight-serve:", of_validation(of_settings), file=sys.stderr)
         sys.exit(1)
     except (SpotLightError, ProblemError, OSError, RuntimeError, ValueError) as error:
         print("spotlight-serve:", " ".join(str(error).split()), file=sys.stderr)

@@ -55,6 +55,7 @@ def guides_of(lights: Sequence[Mapping[str, Any]], scene: Scene, drawings: Drawi
                 scene.object_mask,
                 softness=entry["softness"],
                 invert=entry["invert"],
+                blank=kind == "negative",
             )
 
         negative = None if entry["negative"] is None else drawn("negative")

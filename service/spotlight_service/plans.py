@@ -57,7 +57,8 @@ def prepared(
     SpotLightError
         See `Relighter.prepare`.
     """
-    return relighter.prepare(scene, guides, negative, **_wishes(request))
+    mixed = not request["sweep"]
+    return relighter.prepare(scene, guides, negative, mixed=mixed, **_wishes(request))
 
 
 def plan_report(task: Task) -> dict[str, Any]:

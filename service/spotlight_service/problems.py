@@ -3,7 +3,7 @@
 ::
 
     {"type": "about:blank", "title": "Unprocessable Content", "status": 422,
-     "detail": "elevation: expected a finite number from -90 to 90, got 120",
+     "detail": "lights[0].elevation: expected a number of at most 90, got 120",
      "errors": [{"field": "lights[0].elevation", "expected": "…", "got": "120"}],
      "request": "2f6c…"}
 """
@@ -19,15 +19,54 @@ from typing import Any, Final
 
 from spotlight_runtime.errors import ModelError, NumericalError, SpotLightError
 
-__all__ = ["MEDIA_TYPE", "FieldError", "ProblemError", "disk_is_full", "of_error", "of_validation"]
+__all__ = [
+    "MEDIA_TYPE",
+    "TAG",
+    "FieldError",
+    "ProblemError",
+    "disk_is_full",
+    "fields_in",
+    "of_error",
+    "of_validation",
+]
 
 MEDIA_TYPE: Final = "application/problem+json"
+TAG: Final = "~"
+"""What tags of unions begin with: pydantic puts them among the fields, whose names they are not."""
 _SHOWN: Final = 200
 """Characters of a value that an error repeats."""
 _FULL: Final = {errno.ENOSPC, errno.EDQUOT}
 _MESSAGE: Final = re.compile(
     r"(?P<field>[^:]{1,160}): .*?expected (?P<expected>.+?), (?:got|found) (?P<got>[^;]+)", re.S
 )
+_DIGITS: Final = re.compile(r"\^\[0-9a-f\]\{(\d+)\}\$")
+"""The pattern of an id."""
+_EXPECTED: Final = {
+    "extra_forbidden": "no field of this name",
+    "finite_number": "a finite number",
+    "greater_than": "a number above {gt}",
+    "greater_than_equal": "a number of at least {ge}",
+    "json_invalid": "JSON",
+    "less_than": "a number below {lt}",
+    "less_than_equal": "a number of at most {le}",
+    "literal_error": "{expected}",
+    "missing": "a value",
+    "string_pattern_mismatch": "{pattern}",
+    "string_too_long": "text of at most {max_length} characters",
+    "string_too_short": "text of at least {min_length} characters",
+    "too_long": "a list of at most {max_length}",
+    "too_short": "a list of at least {min_length}",
+    "value_error": "a file",  # FastAPI's, of a form: no check of our own raises one
+    # Of what type a value has to be, whatever keeps it from being one:
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "list": "a list",
+    "model": "a JSON object",
+    "string": "text",
+    "tuple": "a list",
+}
+"""What pydantic's errors say was expected, by their type or its first word."""
 
 
 class ProblemError(Exception):
@@ -76,18 +115,31 @@ class FieldError(ProblemError):
 
 
 def of_validation(errors: Sequence[Mapping[str, Any]]) -> ProblemError:
-    """What FastAPI says of a request that does not match its schema."""
-    told = []
-    for error in errors:
-        place, *inner = error["loc"]
-        name = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in inner).lstrip(".")
-        got = "nothing" if error["type"] == "missing" else repr(error.get("input"))
-        expected = "a value" if error["type"] == "missing" else error["msg"]
-        told.append({"field": name or str(place), "expected": expected, "got": got[:_SHOWN]})
+    """What pydantic says of a request, or of settings, that do not match their schema."""
+    told = [_told(error) for error in errors]
     first = told[0]
     detail = f"{first['field']}: expected {first['expected']}, got {first['got']}"
     status = 400 if errors[0]["type"] == "json_invalid" else 422
     return ProblemError(status, detail, told)
+
+
+def _told(error: Mapping[str, Any]) -> dict[str, str]:
+    kind, context = error["type"], error.get("ctx", {})
+    place, *inner = error["loc"]
+    got = repr(error.get("input"))
+    if kind == "missing":
+        got = "nothing"
+    elif kind == "json_invalid":
+        got = f"text that is none ({context['error']}, character {inner.pop()})"
+    parts = [part for part in inner if not str(part).startswith(TAG)]
+    name = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in parts).lstrip(".")
+    words = _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0])
+    if words is None:
+        expected = error["msg"].removeprefix("Input should be ")
+    else:
+        limits = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
+        expected = _DIGITS.sub(r"\1 hexadecimal digits", words.format(**limits))
+    return {"field": name or str(place), "expected": expected, "got": got[:_SHOWN]}
 
 
 def of_error(error: Exception, hide: Sequence[str] = ()) -> ProblemError:
@@ -119,10 +171,14 @@ def of_error(error: Exception, hide: Sequence[str] = ()) -> ProblemError:
     text = " ".join(str(error).split())
     for path in hide:
         text = text.replace(f"{path}/", "").replace(path, "the scene")
-    found = _MESSAGE.match(text)
-    named = [] if found is None else [{k: v[:_SHOWN] for k, v in found.groupdict().items()}]
     status = 500 if isinstance(error, NumericalError | ModelError) else 422
-    return ProblemError(status, text, named)
+    return ProblemError(status, text, fields_in(text))
+
+
+def fields_in(text: str) -> list[dict[str, str]]:
+    """The field, what was expected and what came, where a message says them."""
+    found = _MESSAGE.match(text)
+    return [] if found is None else [{k: v[:_SHOWN] for k, v in found.groupdict().items()}]
 
 
 def disk_is_full(error: BaseException) -> bool:

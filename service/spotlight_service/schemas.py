@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 from spotlight_runtime.planning.options import WindowMode
 from spotlight_service.plans import PlanName
+from spotlight_service.problems import TAG
 
 __all__ = ["MOST_LIGHTS", "PLANNED", "DrawnLight", "PlacedLight", "RelightRequest", "ShadowRequest"]
 
@@ -26,6 +28,7 @@ PLANNED: Final = (
 """Options that a plan chooses where a request does not."""
 SCENE_ID: Final = r"^[0-9a-f]{64}$"
 SAMPLE_ID: Final = "0" * 64
+PLACED, DRAWN, WORD = (f"{TAG}{name}" for name in ("placed", "drawn", "word"))
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[Finite, Field(ge=0, le=1)]
 Interval = tuple[Share, Share]
@@ -90,7 +93,34 @@ class DrawnLight(_Strict):
     colour: Colour = [1.0, 1.0, 1.0]
 
 
-Lights = Annotated[list[PlacedLight | DrawnLight], Field(min_length=1, max_length=MOST_LIGHTS)]
+def _kind_of_light(entry: Any) -> str | None:
+    if isinstance(entry, DrawnLight) or (isinstance(entry, Mapping) and "shadow" in entry):
+        return DRAWN
+    return PLACED if isinstance(entry, PlacedLight | Mapping) else None
+
+
+def _kind_of_negative(entry: Any) -> str | None:
+    return WORD if isinstance(entry, str) else _kind_of_light(entry) and PLACED
+
+
+# Chosen before it is looked into: what is wrong with a light is told of its own kind alone.
+AnyLight = Annotated[
+    Annotated[PlacedLight, Tag(PLACED)] | Annotated[DrawnLight, Tag(DRAWN)],
+    Discriminator(
+        _kind_of_light,
+        custom_error_type="light",
+        custom_error_message="a JSON object, of a placed light or with a shadow",
+    ),
+]
+Negative = Annotated[
+    Annotated[Literal["opposite", "none"], Tag(WORD)] | Annotated[PlacedLight, Tag(PLACED)],
+    Discriminator(
+        _kind_of_negative,
+        custom_error_type="negative",
+        custom_error_message="'opposite', 'none' or a placed light",
+    ),
+]
+Lights = Annotated[list[AnyLight], Field(min_length=1, max_length=MOST_LIGHTS)]
 SceneId = Annotated[str, Field(pattern=SCENE_ID, description="As POST /v1/scenes gives it.")]
 
 
@@ -128,7 +158,7 @@ class RelightRequest(_Strict):
 
     scene: SceneId
     lights: Lights
-    negative: Literal["opposite", "none"] | PlacedLight | None = Field(
+    negative: Negative | None = Field(
         None, description="What the guidance contrasts with; the opposite light by default."
     )
     sweep: bool = Field(

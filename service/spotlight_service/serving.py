@@ -6,11 +6,11 @@ import asyncio
 import fcntl
 import logging
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from spotlight_service.broker import Broker
 from spotlight_service.engine.studio import StudioDesk
@@ -44,6 +44,8 @@ class Service:
     Attributes
     ----------
     settings : Settings
+    lock : file
+        Held as long as it is open: one service a data folder.
     database, jobs, queue, files, scenes, book
         Stores.
     keys, access
@@ -55,6 +57,7 @@ class Service:
     """
 
     settings: Settings
+    lock: TextIO
     database: Database
     jobs: JobStore
     queue: WorkQueue
@@ -69,14 +72,22 @@ class Service:
 
     @classmethod
     def open(cls, settings: Settings) -> Service:
-        """Open the stores of a data folder; nothing runs yet."""
+        """Open the stores of a data folder; nothing runs yet.
+
+        Raises
+        ------
+        RuntimeError
+            If another service uses the data folder.
+        """
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = only_one(settings.data / "service.lock")
         database = Database(settings.data / "service.db")
         jobs = JobStore(database, limit=settings.queue)
         book = WorkerBook(database)
         metrics = Metrics(jobs, book)
         return cls(
             settings,
+            lock,
             database,
             jobs,
             WorkQueue(database, lease=settings.lease_s, attempts=settings.attempts),
@@ -98,34 +109,33 @@ class Service:
         ----------
         workforce : Workforce, optional
             None where somebody else works the queue off.
-
-        Raises
-        ------
-        RuntimeError
-            If another service uses the data folder.
         """
-        with only_one(self.settings.data / "service.lock"):
-            back = self.queue.abandon()
-            self.book.forget()
-            log.info("started", extra={"jobs_taken_back": back, "data": str(self.settings.data)})
-            tasks = [asyncio.create_task(self.broker.run()), asyncio.create_task(self._tidy())]
+        back = self.queue.abandon()
+        self.book.forget()
+        log.info("started", extra={"jobs_taken_back": back, "data": str(self.settings.data)})
+        tasks = [asyncio.create_task(self.broker.run()), asyncio.create_task(self._tidy())]
+        if workforce is not None:
+            tasks.append(asyncio.create_task(workforce.run()))
+        await asyncio.to_thread(self.sketches.warm)
+        try:
+            yield
+        finally:
+            self.broker.close()
+            for task in tasks:
+                task.cancel()
+            for task in tasks:
+                with suppress(asyncio.CancelledError):
+                    await task
             if workforce is not None:
-                tasks.append(asyncio.create_task(workforce.run()))
-            await asyncio.to_thread(self.sketches.warm)
-            try:
-                yield
-            finally:
-                self.broker.close()
-                for task in tasks:
-                    task.cancel()
-                for task in tasks:
-                    with suppress(asyncio.CancelledError):
-                        await task
-                if workforce is not None:
-                    await asyncio.to_thread(workforce.stop, self.settings.stop_s)
-                self.uploads.close()
-                self.sketches.close()
-                log.info("stopped")
+                await asyncio.to_thread(workforce.stop, self.settings.stop_s)
+            self.uploads.close()
+            self.sketches.close()
+            log.info("stopped")
+
+    def close(self) -> None:
+        """Close the stores, and leave the data folder to others."""
+        self.database.close()
+        self.lock.close()
 
     async def _tidy(self) -> None:
         while True:
@@ -145,21 +155,21 @@ class Service:
         self.scenes.evict(self.settings.scene_store_bytes, self.jobs.scenes_in_use())
 
 
-@contextmanager
-def only_one(path: Path) -> Iterator[None]:
-    """Hold a file against any other process, as long as the block lasts.
+def only_one(path: Path) -> TextIO:
+    """Hold a file against any other process until it is closed.
 
     Raises
     ------
     RuntimeError
         If another process holds it.
     """
-    with path.open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise RuntimeError(
-                f"{path.parent}: another service uses this data folder; stop it, or give this one "
-                "a folder of its own (--data)"
-            ) from error
-        yield
+    file = path.open("a")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise RuntimeError(
+            f"{path.parent}: another service uses this data folder; stop it, or give this one "
+            "a folder of its own (--data)"
+        ) from error
+    return file

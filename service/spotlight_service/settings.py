@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Any, Final
 
-from pydantic import Field
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import Field, field_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from spotlight_runtime.networks.models import Engine
 
@@ -34,7 +34,7 @@ class Settings(BaseSettings):
     insecure_open : bool
         Listen beyond loopback without API keys.
     models : tuple of str
-        Names or folders; one worker each.
+        Names or folders; one worker each. In the environment with commas between them.
     engine : {"onnxruntime", "openvino", "openvino-bf16"}
         What computes the networks.
     threads : int, optional
@@ -84,7 +84,7 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: int = Field(default=8471, ge=0, le=65535)
     insecure_open: bool = False
-    models: tuple[str, ...] = ("mini",)
+    models: Annotated[tuple[str, ...], NoDecode, Field(min_length=1)] = ("mini",)
     engine: Engine = "onnxruntime"
     threads: int | None = Field(default=None, ge=1)
     measure: bool = True
@@ -109,6 +109,15 @@ class Settings(BaseSettings):
     requests_per_minute: int = Field(default=1200, ge=1)
     keep_alive_s: float = Field(default=15.0, gt=0)
     stop_s: float = Field(default=20.0, gt=0)
+
+    @field_validator("models", mode="before")
+    @classmethod
+    def _listed(cls, given: Any) -> Any:
+        """Names of a text that is a list, whether or not it is written as JSON."""
+        if not isinstance(given, str):
+            return given
+        names = (part.strip('[]" ') for part in given.split(","))
+        return tuple(name for name in names if name)
 
     @property
     def loopback(self) -> bool:

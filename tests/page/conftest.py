@@ -82,7 +82,13 @@ def visit(browser, server):
 
 def drop(page, *paths: Path) -> None:
     """Drop files on the page, as a hand would."""
-    types = {".jpg": "image/jpeg", ".png": "image/png", ".txt": "text/plain"}
+    types = {
+        ".jpg": "image/jpeg",
+        ".obj": "model/obj",
+        ".png": "image/png",
+        ".txt": "text/plain",
+        ".zip": "application/zip",
+    }
     files = [
         {
             "name": path.name,

@@ -154,7 +154,8 @@ def test_the_pages_shell_runs(server, tmp_path):
     script = script.replace('"lights"', '"model": "tiny", "lights"')
     script = script.replace('/shadow --json \'{"model": "tiny", ', "/shadow --json '{")
     script = script.replace("jq -r .id", f"{sys.executable} -c '{JQ}'")
-    script = re.sub(r"--json '", "-H content-type:application/json -d '", script)  # older curls
+    as_json = "-H content-type:application/json -H accept:application/json -d '"
+    script = script.replace("--json '", as_json)  # older curls
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", script],
         cwd=tmp_path,

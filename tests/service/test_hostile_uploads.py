@@ -10,11 +10,11 @@ import httpx
 import pytest
 
 from spotlight_service.engine.studio import StudioDesk
-from spotlight_service.engine.uploads import check_picture
+from spotlight_service.engine.uploads import check_bundle, check_picture, unpack_bundle
 from spotlight_service.problems import FieldError, ProblemError
 from spotlight_service.settings import Settings
 
-from .hostile import CASES, JPEG, archive, cutout, picture
+from .hostile import CASES, GOOD, JPEG, archive, cutout, picture
 from .servers import Server
 
 
@@ -143,6 +143,19 @@ def test_a_studio_that_takes_too_long_is_replaced(tmp_path):
             patient.ask("sample", name="goblet", draft_folder=str(tmp_path))
     finally:
         desk.close()
+
+
+def test_a_bundle_as_finder_zips_it(tmp_path):
+    zipped = {f"chair/{name}": data for name, data in GOOD.items()}
+    added = {"chair/.DS_Store": b"Bud1", "__MACOSX/._chair": b"\0\5\x16\7"}
+    added |= {f"__MACOSX/chair/._{name}": b"\0\5\x16\7" for name in GOOD}
+    (tmp_path / "a.zip").write_bytes(archive({**zipped, **added}))
+    found = unpack_bundle(
+        tmp_path / "a.zip", tmp_path / "out", most_bytes=10**6, most_files=len(GOOD)
+    )
+    assert found == tmp_path / "out/chair"
+    assert {path.name for path in found.iterdir()} == set(GOOD)
+    check_bundle(found, 10**6, 10**6)
 
 
 def test_large_pictures_are_not_taken_for_archives_by_chance():

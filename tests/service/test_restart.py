@@ -133,4 +133,4 @@ def test_results_are_kept_for_so_long_and_no_longer(tmp_path):
     service.tidy()
     assert service.jobs.ids() == {"b" * 32}
     assert [path.name for path in service.files.root.iterdir()] == ["b" * 32]
-    service.database.close()
+    service.close()

@@ -15,9 +15,22 @@ from spotlight_service.serving import Service
 from spotlight_service.storage.records import Job
 from spotlight_service.views import ProblemView
 
-__all__ = ["CallerHere", "Here", "JobId", "SceneId", "asked", "own_job", "problems"]
+__all__ = [
+    "FORMS",
+    "JSON",
+    "CallerHere",
+    "Here",
+    "JobId",
+    "SceneId",
+    "asked",
+    "own_job",
+    "problems",
+    "takes",
+]
 
 JOB_ID: Final = r"^[0-9a-f]{32}$"
+JSON: Final = "application/json"
+FORMS: Final = ("multipart/form-data", "application/x-www-form-urlencoded")
 
 _WHY: Final = {
     400: "The body is not what its type says.",
@@ -64,6 +77,17 @@ Here = Annotated[Service, Depends(_service)]
 CallerHere = Annotated[Caller, Depends(_caller)]
 JobId = Annotated[str, Path(pattern=JOB_ID, description="As the job's answer says.")]
 SceneId = Annotated[str, Path(pattern=SCENE_ID, description="As the scene's answer says.")]
+
+
+def takes(*kinds: str) -> Any:
+    """A dependency: a body of one of these types, or 415 before anybody looks into it."""
+
+    async def checked(request: Request) -> None:
+        given = request.headers.get("content-type", "")
+        if given.partition(";")[0].strip().lower() not in kinds:
+            raise FieldError("Content-Type", " or ".join(kinds), given or "nothing", status=415)
+
+    return Depends(checked)
 
 
 def own_job(service: Service, caller: Caller, job: str) -> Job:

@@ -11,7 +11,16 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse
 from sse_starlette import EventSourceResponse
 
-from spotlight_service.api.common import CallerHere, Here, JobId, asked, own_job, problems
+from spotlight_service.api.common import (
+    JSON,
+    CallerHere,
+    Here,
+    JobId,
+    asked,
+    own_job,
+    problems,
+    takes,
+)
 from spotlight_service.api.events import job_events
 from spotlight_service.problems import FieldError, ProblemError
 from spotlight_service.schemas import MOST_LIGHTS, RelightRequest
@@ -53,6 +62,7 @@ _PARTING_S: Final = 5.0
     "/relight",
     status_code=202,
     response_model=JobView,
+    dependencies=[takes(JSON)],
     responses={**problems(406, 415, 504, 507), **PICTURE},
     summary="Relight a scene",
 )
@@ -76,7 +86,9 @@ async def relight(
     A client that leaves while it waits cancels the job it made.
     """
     wait = _wait(prefer, service.settings.longest_wait_s)
-    suffix = _suffix(accept) if wait else ".png"
+    # JSON is what jobs are told in, and what curl --json asks for: no wish for a kind of picture.
+    silent = not wait or (accept or "").strip().lower() == JSON
+    suffix = ".png" if silent else _suffix(accept)
     made = await submit(service, caller, body, idempotency_key)
     job = made.job
     headers = {} if made.created else {"Idempotency-Replayed": "true"}

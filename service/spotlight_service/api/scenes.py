@@ -5,12 +5,23 @@ from __future__ import annotations
 import asyncio
 import base64
 import shutil
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from fastapi import APIRouter, File, Form, Query, Response, UploadFile
+from fastapi import APIRouter, File, Form, Query, Request, Response, UploadFile
+from starlette.datastructures import FormData
 
-from spotlight_service.api.common import CallerHere, Here, SceneId, asked, problems
+from spotlight_service.api.common import (
+    FORMS,
+    JSON,
+    CallerHere,
+    Here,
+    SceneId,
+    asked,
+    problems,
+    takes,
+)
 from spotlight_service.problems import FieldError
 from spotlight_service.schemas import ShadowRequest
 from spotlight_service.security.keys import Caller
@@ -35,6 +46,7 @@ Number = Annotated[float | None, Form(allow_inf_nan=False)]
     "",
     status_code=201,
     response_model=SceneView,
+    dependencies=[takes(*FORMS)],
     responses={**problems(415, 507), 200: {"model": SceneView, "description": "Known already."}},
     summary="Send a scene, or make one of a photograph and an object",
     openapi_extra={
@@ -50,6 +62,7 @@ Number = Annotated[float | None, Form(allow_inf_nan=False)]
     },
 )
 async def make_scene(
+    request: Request,
     response: Response,
     service: Here,
     caller: CallerHere,
@@ -68,7 +81,7 @@ async def make_scene(
     at: Annotated[
         str,
         Form(
-            pattern=r"^\s*[0-9.]{1,12}\s*,\s*[0-9.]{1,12}\s*$",
+            max_length=100,
             description="Where the object stands: fractions of the picture, from the upper left.",
         ),
     ] = "0.5,0.8",
@@ -92,13 +105,6 @@ async def make_scene(
     """
     parts = {"photo": photo, "object": object, "mask": mask}
     sent = {name: file for name, file in parts.items() if file is not None}
-    ways = [w for w, given in (("bundle", bundle), ("photo", sent), ("sample", sample)) if given]
-    if len(ways) != 1 or (sent and not {"photo", "object"} <= set(sent)):
-        got = " and ".join(
-            [*(["bundle"] if bundle else []), *sent, *(["sample"] if sample else [])]
-        )
-        raise FieldError("bundle", "a bundle, a photo and an object, or a sample", got or "nothing")
-    require_space(service.settings.data, service.settings.min_free_bytes)
     fields = {
         "at": _point(at),
         "yaw": yaw,
@@ -110,6 +116,15 @@ async def make_scene(
         "camera_height": camera_height,
         "occlusion": occlusion,
     }
+    known = {"bundle", "sample", *parts, *fields}
+    _check_names(await request.form(), known, () if sent else fields)
+    ways = [w for w, given in (("bundle", bundle), ("photo", sent), ("sample", sample)) if given]
+    if len(ways) != 1 or (sent and not {"photo", "object"} <= set(sent)):
+        got = " and ".join(
+            [*(["bundle"] if bundle else []), *sent, *(["sample"] if sample else [])]
+        )
+        raise FieldError("bundle", "a bundle, a photo and an object, or a sample", got or "nothing")
+    require_space(service.settings.data, service.settings.min_free_bytes)
     info, fresh = await asyncio.to_thread(_stored, service, caller, bundle, sent, sample, fields)
     response.status_code = 201 if fresh else 200
     response.headers["Location"] = f"/v1/scenes/{info.id}"
@@ -142,6 +157,7 @@ async def get_picture(
 @router.post(
     "/{scene}/shadow",
     response_class=Response,
+    dependencies=[takes(JSON)],
     responses={**problems(415, 507), **PNG},
     summary="Sketch a light in a blink",
 )
@@ -172,6 +188,16 @@ async def sketch_shadow(
         told = " ".join(answer["notices"]).encode("ascii", "replace").decode()
         headers["Spotlight-Notice"] = " ".join(told.split())
     return Response(data, media_type="image/png", headers=headers)
+
+
+def _check_names(form: FormData, known: Collection[str], idle: Collection[str]) -> None:
+    """Raise where a form has fields that would count for nothing."""
+    for name, value in form.items():
+        got = value if isinstance(value, str) else "a file"
+        if name not in known:
+            raise FieldError(name, "no field of this name", got)
+        if name in idle:
+            raise FieldError(name, "nothing where no object is put into a photo", got)
 
 
 def _stored(

@@ -16,6 +16,7 @@ from typing import Final
 
 from spotlight_runtime.errors import ImageFileError
 from spotlight_runtime.imaging.headers import read_header
+from spotlight_runtime.scenes.archive import own_entries, scene_folder
 from spotlight_service.problems import FieldError
 
 __all__ = [
@@ -154,7 +155,7 @@ def unpack_bundle(archive: Path, folder: Path, *, most_bytes: int, most_files: i
     left = most_bytes
     try:
         with zipfile.ZipFile(archive) as bundle:
-            entries = [e for e in bundle.infolist() if not e.is_dir()]
+            entries = [e for e in own_entries(bundle) if not e.is_dir()]
             if len(entries) > most_files:
                 got = f"{len(entries)}"
                 raise FieldError("bundle", f"at most {most_files} files", got, status=413)
@@ -173,8 +174,7 @@ def unpack_bundle(archive: Path, folder: Path, *, most_bytes: int, most_files: i
         raise FieldError("bundle", "a whole zip file", error, status=422) from error
     except FileExistsError as error:
         raise FieldError("bundle", "each file once", "one twice") from error
-    inside = list(folder.iterdir())
-    return inside[0] if len(inside) == 1 and inside[0].is_dir() else folder
+    return scene_folder(folder)
 
 
 def check_bundle(folder: Path, most_pixels: int, most_bytes: int) -> None:

@@ -64,9 +64,16 @@ class Bench:
     plans: dict[str, float]
 
     def predict(self) -> None:
-        """Measure what plans take on this machine."""
-        self.plans.update(predicted(self.relighter))
-        log.info("measured", extra={"plans": self.plans})
+        """Measure what plans take on this machine.
+
+        A model that cannot be run is no reason not to work: its jobs fail, and say why.
+        """
+        try:
+            self.plans.update(predicted(self.relighter))
+        except Exception:
+            log.exception("not measured", extra={"model": self.model})
+        else:
+            log.info("measured", extra={"plans": self.plans})
 
     def work_once(self, stopping: threading.Event) -> bool:
         """Do one job; False if there was none."""

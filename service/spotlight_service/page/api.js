@@ -17,7 +17,7 @@ export class Problem extends Error {
 
 let askForKey = async () => null;
 
-/** Say how a person is asked for a key; `ask()` resolves to one. */
+/** Say how a person is asked for a key; `ask(refused)` resolves to one, or to null. */
 export function onKeyNeeded(ask) {
   askForKey = ask;
 }
@@ -36,7 +36,7 @@ export async function call(path, { method = "GET", json, form, headers = {}, sig
     throw new Problem(0, { detail: "The service cannot be reached. Is it still running?" });
   }
   if (answer.status === 401) {
-    const given = await askForKey();
+    const given = await askForKey(Boolean(key));
     if (given) {
       sessionStorage.setItem(KEY, given);
       return call(path, { method, json, form, headers, signal });

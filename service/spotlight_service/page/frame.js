@@ -30,17 +30,26 @@ export function bindTheme() {
   });
 }
 
-/** Ask for an API key where the service wants one. */
+/** Ask for an API key where the service wants one; once that is declined, only when told to by a button. */
 export function bindKey() {
   const dialog = byId("key-dialog");
+  const button = byId("enter-key");
+  button.addEventListener("click", () => location.reload()); // which loses nothing, and asks anew
   let asking = null;
-  onKeyNeeded(() => {
+  let declined = false;
+  onKeyNeeded((refused) => {
+    if (declined) return null;
     asking ??= new Promise((resolve) => {
+      dialog.returnValue = "";
       dialog.showModal();
+      byId("key-refused").textContent = refused ? "That key is not valid here." : ""; // once it is seen
       dialog.addEventListener("close", () => {
-        asking = null;
-        resolve(dialog.returnValue ? byId("key").value.trim() : null);
+        const key = dialog.returnValue ? byId("key").value.trim() : "";
         byId("key").value = "";
+        asking = null;
+        declined = !key;
+        button.hidden = !declined;
+        resolve(key || null);
       }, { once: true });
     });
     return asking;

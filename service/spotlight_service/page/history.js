@@ -45,7 +45,7 @@ export class History {
     item.row.dataset.state = job.state;
     const openable = !["failed", "cancelled"].includes(job.state);
     item.button.disabled = !openable;
-    if (job.state === "failed" && job.error) item.row.title = job.error.detail;
+    item.why.textContent = job.error?.detail ?? "";
     if (job.state === "done" && before?.state !== "done") this.fillThumb(job, item.image);
     byId("history-empty").hidden = this.jobs.size > 0;
   }
@@ -61,7 +61,8 @@ export class History {
     const text = element("span", { className: "text" }, told, detail);
     const button = element("button", { type: "button", className: "past" }, image, text);
     button.addEventListener("click", () => this.opened(this.jobs.get(id)));
-    return { row: element("li", {}, button), button, image, told, detail };
+    const why = element("p", { className: "hint why" }); // beside the button, which is of no use then
+    return { row: element("li", {}, button, why), button, image, told, detail, why };
   }
 
   async fillThumb(job, image) {

@@ -55,7 +55,8 @@ async function entered(scene, composed) {
   document.querySelector('input[name="view"][value="place"]').parentElement.hidden = !composed;
   show(composed && radio("view") === "place" ? "place" : "light");
   const blob = await api.scenePicture(scene.id).catch(tell);
-  if (blob && state.scene === scene) await viewer.showBase(blob, "The scene under a plain light");
+  if (state.scene !== scene) return;
+  if (blob) await viewer.showBase(blob, "The scene under a plain light");
   lightsChanged(true);
 }
 
@@ -245,7 +246,10 @@ function predict() {
 async function follow() {
   let told;
   for (let look = 0; look < LOOKS; look++) {
-    const [capable, ready] = await Promise.all([api.capabilities().catch(tell), api.ready()]);
+    let locked = false; // a key was asked for, and none given
+    const failed = (error) => { if (error.status === 401) locked = true; else tell(error); };
+    const [capable, ready] = await Promise.all([api.capabilities().catch(failed), api.ready()]);
+    if (locked) return;
     byId("health").textContent = ready ? "" : "The model is loading…";
     if (capable) {
       if (!told) offerSamples(capable.samples, (name) => desk.sample(name));

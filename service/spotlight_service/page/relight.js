@@ -15,6 +15,7 @@ export class Run {
     this.viewer = viewer;
     this.then = then;
     this.job = null;
+    this.cancelling = false;
     byId("cancel").addEventListener("click", () => this.cancel());
   }
 
@@ -24,21 +25,33 @@ export class Run {
     try {
       const job = await api.relight(request);
       this.then.changed(job);
-      await this.watch(job);
+      const watching = this.watch(job);
+      if (this.cancelling) this.cancel();
+      await watching;
     } catch (error) {
       this.hide();
       tell(error);
     }
   }
 
+  /** A job that is still being asked for is cancelled once it is there. */
   async cancel() {
+    this.cancelling = true;
     byId("cancel").disabled = true;
     byId("run-text").textContent = "Cancelling…";
     try {
       if (this.job) this.then.changed(await api.cancel(this.job.id));
     } catch (error) {
+      this.goOn();
+      if (this.job) this.told(this.job);
       tell(error);
     }
+  }
+
+  /** Nobody asks for an end to it, or nobody any longer. */
+  goOn() {
+    this.cancelling = false;
+    byId("cancel").disabled = false;
   }
 
   /** Stop looking; the job goes on. */
@@ -105,7 +118,7 @@ export class Run {
   }
 
   progress({ stage, step, steps, light, lights, together, fraction, eta_s: left }) {
-    if (byId("cancel").disabled) return;
+    if (this.cancelling) return;
     const numbers = (together.length ? together : [light]).map((number) => number + 1);
     const named = `${numbers.length > 1 ? "Lights" : "Light"} ${numbers.join(" and ")} of ${lights}`;
     const which = lights > 1 ? `${named}, step` : "Step";
@@ -131,7 +144,7 @@ export class Run {
 
   hide() {
     byId("run").hidden = true;
-    byId("cancel").disabled = false;
+    this.goOn();
     this.viewer.hideForming();
     document.body.classList.remove("running");
     this.then.turned();

@@ -21,21 +21,25 @@ export class SceneDesk {
    */
   constructor(then) {
     this.then = then;
+    this.making = new Latest((wish, signal) => this.make(wish, signal), (error) => this.failed(error), { interrupts: true });
     this.forget();
-    this.composing = new Latest((_, signal) => this.compose(signal), (error) => this.failed(error), { interrupts: true });
     this.build();
   }
 
+  /** Nothing stands here, and nothing is on its way. */
   forget() {
+    clearTimeout(this.timer);
+    this.making.drop();
     this.files = {};
     this.place = { ...START };
   }
 
   /** Sort files that were dropped by what they may be; the service looks into them. */
   take(files, wanted = null) {
+    this.making.drop(); // what comes now counts
     for (const file of files) {
       const suffix = `.${file.name.toLowerCase().split(".").pop()}`;
-      if (suffix === ".zip") return this.bundle(file);
+      if (suffix === ".zip") return this.replace({ bundle: file }, "Unpacking the scene…");
       if (MODELS.split(",").includes(suffix)) this.files.object = file;
       else if (wanted) this.files[wanted] = file;
       else if (!this.files.photo || (this.files.object && PHOTOS.includes(suffix))) this.files.photo = file;
@@ -58,43 +62,49 @@ export class SceneDesk {
     input.click();
   }
 
-  async bundle(file) {
-    await this.made({ bundle: file }, "Unpacking the scene…");
+  sample(name) {
+    this.replace({ sample: name }, "Setting the scene…");
   }
 
-  async sample(name) {
-    await this.made({ sample: name }, "Setting the scene…");
+  /** A whole scene instead of what stands here. */
+  replace(fields, text) {
+    clearTimeout(this.timer);
+    this.making.ask({ fields, text });
   }
 
-  async made(fields, text) {
-    this.forget();
+  /** Make a whole scene of `fields`, or put the object into the photograph as it is placed now. */
+  async make({ fields, text }, signal) {
     busy(text);
     try {
-      await this.enter(await api.makeScene(fields), false);
-    } catch (error) {
-      tell(error);
+      const scene = await api.makeScene(fields ?? this.composition(), signal);
+      if (fields) this.forget(); // not before: without a scene the files stay what they are
+      else {
+        await store.put(SOURCES, { scene: scene.id, files: this.files, place: this.place });
+        signal.throwIfAborted(); // by a newer wish, or by starting over
+      }
+      await this.enter(scene, !fields);
     } finally {
       busy(null);
     }
   }
 
-  /** Put the object into the photograph as it is placed now. */
-  async compose(signal) {
-    busy("Putting it in…");
-    const { at, ...place } = this.place;
-    const fields = { ...this.files, ...place, at: at.map((v) => v.toFixed(4)).join(","), occlusion: String(place.occlusion) };
-    try {
-      const scene = await api.makeScene(fields, signal);
-      await store.put(SOURCES, { scene: scene.id, files: this.files, place: this.place });
-      await this.enter(scene, true);
-    } finally {
-      busy(null);
-    }
+  composition() {
+    const { at, yaw, occlusion, ...others } = this.place;
+    return {
+      ...this.files, ...others, at: at.map((v) => v.toFixed(4)).join(","), occlusion: String(occlusion),
+      yaw: this.cutout ? 0 : yaw, // which is kept for a model that may come instead
+    };
   }
 
   failed(error) {
     tell(error);
     this.showSlots();
+  }
+
+  /** Whether the object is a picture, which nothing turns. */
+  get cutout() {
+    const { object } = this.files;
+    return Boolean(object) && !MODELS.split(",").some((suffix) => object.name.toLowerCase().endsWith(suffix));
   }
 
   /** What a person calls the scene. */
@@ -165,7 +175,7 @@ export class SceneDesk {
 
   /** Compose, once there is something to compose. */
   putIn() {
-    if (this.files.photo && this.files.object) this.composing.ask(null);
+    if (this.files.photo && this.files.object) this.making.ask({ text: "Putting it in…" });
   }
 
   keyed(event, soon) {
@@ -194,8 +204,7 @@ export class SceneDesk {
   /** Files as they are, each to be replaced. */
   showSlots() {
     const { photo, object } = this.files;
-    const cutout = object && !MODELS.split(",").some((suffix) => object.name.toLowerCase().endsWith(suffix));
-    const names = photo || object ? ["photo", "object", ...(cutout ? ["mask"] : [])] : [];
+    const names = photo || object ? ["photo", "object", ...(this.cutout ? ["mask"] : [])] : [];
     const titles = { photo: "Photo", object: "Object", mask: "Mask" };
     byId("slots").replaceChildren(...names.map((name) => {
       const file = this.files[name];
@@ -207,6 +216,7 @@ export class SceneDesk {
         element("span", { className: "file", title: file?.name ?? "" }, file?.name ?? none), button);
     }));
     byId("place-rows").hidden = !(photo && object);
+    this.yaw.row.hidden = this.cutout;
     this.showPlace();
   }
 }
